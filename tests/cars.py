@@ -1,0 +1,94 @@
+"""Cars and drives that the physics tests share, and a simulation of one of them in one call."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from vehicle_sbi.physics.effects import RECORD, nominal_record
+from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
+from vehicle_sbi.physics.single_track import DRIVES, FINISHED, simulate_batch
+from vehicle_sbi.physics.vehicle import Vehicle
+
+# The constants of the design's closed forms; rigid tyres without relaxation.
+RIGID = Vehicle(
+    name="rigid", m=1093.3, L=2.5789, l_f=1.1562, h_cog=0.57487, C_kappa_f=131963.0, C_kappa_r=107242.0,
+    C_alpha_f=100e3, C_alpha_r=120e3, mu=1.0489, R_f=0.344, I_wf=3.4, I_wr=3.4,
+)  # fmt: skip
+
+PAPER = Vehicle(
+    name="paper", m=1500.0, L=2.7, l_f=1.3, h_cog=0.5, C_kappa_f=1e5, C_kappa_r=1e5, C_alpha_f=6e4, C_alpha_r=6e4,
+    mu=0.9, R_f=0.31, C_vert=2e5, I_wf=3.0, I_wr=3.0, K=1.5e5,
+)  # fmt: skip
+
+MILD = (0.06, 600.0, -900.0)  # steering [rad], drive and brake torque [N m]
+STRONG = (0.085, 900.0, -1800.0)
+RATE = 200.0
+
+# Each group of sensors reports something: v_y beside the IMU, yaw rate and speed over CAN, and the wheels.
+REPORTED_BY = ("imu", "imu", "can", "wheel_speed", "wheel_speed", "can", "imu")
+
+
+def record_of(vehicle: Vehicle, **fields: float) -> np.ndarray:
+    """The record of a car with every effect at its null but for `fields`, as an array of one."""
+    records = np.full(1, nominal_record(vehicle), dtype=RECORD)
+    for name, value in fields.items():
+        records[name] = value
+    return records
+
+
+def paper_manoeuvre(size: tuple[float, float, float] = MILD, seconds: float = 5.0) -> np.ndarray:
+    """The paper's drive, inputs (time, 7): sine steering of 4 s, square-wave torque of 5 s, brakes 60 % front."""
+    t = np.arange(round(seconds * RATE)) / RATE
+    driving = t % 5.0 < 2.5
+    u = np.zeros((len(t), 7))
+    u[:, 0] = size[0] * np.sin(2.0 * math.pi * t / 4.0)
+    u[:, 1] = np.where(driving, size[1], 0.6 * size[2])
+    u[:, 2] = np.where(driving, 0.0, 0.4 * size[2])
+    return u
+
+
+def coasting(v_x: float, seconds: float, rate: float = RATE) -> np.ndarray:
+    """No steering, no torque; the recorded speed, where a drive mode reads it, is constant."""
+    u = np.zeros((round(seconds * rate) + 1, 7))
+    u[:, 3] = v_x
+    return u
+
+
+def simulate(
+    records: np.ndarray,
+    drive: str,
+    u: np.ndarray,
+    initial: Sequence[float] | np.ndarray,
+    *,
+    rate: float = RATE,
+    substeps: int = 4,
+    stiffness_noise: np.ndarray | None = None,
+    input_noise: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """All MEASUREMENTS of n records over one window, (n, 7, time), and their outcomes (n,); u (time, 7)."""
+    n = len(records)
+    start = np.broadcast_to(np.asarray(initial, dtype=float), (n, 1, 3)).copy()
+    y, outcomes = np.empty((n, len(MEASUREMENTS), len(u))), np.full(n, -1)
+    simulate_batch(
+        records.copy(),
+        DRIVES[drive],
+        u[np.newaxis],
+        np.zeros((n, 1, 4)) if stiffness_noise is None else stiffness_noise,
+        np.zeros((n, 1, 2)) if input_noise is None else input_noise,
+        rate,
+        substeps,
+        start,
+        np.arange(len(MEASUREMENTS)),
+        np.array([GROUPS.index(group) for group in REPORTED_BY]),
+        y,
+        outcomes,
+    )
+    return y, outcomes
+
+
+def finished(*args: object, **kwargs: object) -> np.ndarray:
+    """`simulate` of one record that must end well: its measurements (7, time)."""
+    y, outcomes = simulate(*args, **kwargs)  # pyright: ignore[reportArgumentType]
+    assert outcomes.tolist() == [FINISHED]
+    return y[0]

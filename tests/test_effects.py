@@ -1,0 +1,249 @@
+"""One contract for every optional effect, stated over the catalogue; then what single effects amount to."""
+
+import math
+from collections.abc import Mapping
+from itertools import product
+
+import numpy as np
+import pytest
+from cars import MILD, PAPER, RATE, RIGID, STRONG, coasting, finished, paper_manoeuvre, record_of, simulate
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vehicle_sbi.parameters import Parameter, ParameterSpace
+from vehicle_sbi.physics.effects import (
+    CATALOGUE,
+    EFFECT_PARAMETERS,
+    RECORD,
+    Effect,
+    body_force,
+    derive,
+    interpolate,
+    nominal_record,
+)
+from vehicle_sbi.physics.sensors import MEASUREMENTS, MOTION
+from vehicle_sbi.physics.single_track import DRIVES, FINISHED, NOT_FINITE, drive_through, substeps_for
+from vehicle_sbi.physics.vehicle import GENERIC_PRIORS
+
+EPS = np.finfo(float).eps
+G, V = 9.81, 10.5
+A_X, A_Y, YAW, OMEGA_F, OMEGA_R, V_X, V_Y = range(len(MEASUREMENTS))
+
+every_effect = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=CATALOGUE)
+every_parameter = pytest.mark.parametrize("parameter", EFFECT_PARAMETERS.values(), ids=EFFECT_PARAMETERS)
+every_drive = pytest.mark.parametrize("drive", DRIVES)
+
+
+def exciting() -> np.ndarray:
+    """The strong manoeuvre with a speed and wheel speeds for the drive modes that ask for them."""
+    u = paper_manoeuvre(STRONG, seconds=4.0)
+    t = np.arange(len(u)) / RATE
+    u[:, 3], u[:, 4] = V + 0.8 * np.sin(1.2 * t), 0.96 * np.cos(1.2 * t)
+    u[:, 5], u[:, 6] = u[:, 3] * (1.0 + 0.01 * np.sin(2.0 * t)) / 0.3, u[:, 3] / 0.3
+    return u
+
+
+def records_at(values: Mapping[Parameter, float]) -> np.ndarray:
+    """The paper's car with effect parameters at the given values, as a study sets them: through a ParameterSpace."""
+    space = ParameterSpace(tuple(values))
+    return space.records(np.array([list(values.values())]), nominal_record(PAPER))
+
+
+def null_of(parameter: Parameter) -> float:
+    assert parameter.null is not None
+    return parameter.null
+
+
+def awake(effect: Effect) -> dict[Parameter, float]:
+    """Every parameter of an effect well away from its null: halfway to the bound that is farther off."""
+    far = {p: p.high if p.high - null_of(p) >= null_of(p) - p.low else p.low for p in effect.parameters}
+    return {p: 0.5 * (null_of(p) + bound) for p, bound in far.items()}
+
+
+# --- the contract ---------------------------------------------------------------------------------------------------
+
+
+@every_effect
+def test_effect_says_what_it_is(effect: Effect) -> None:
+    assert all((effect.name, effect.meaning, effect.source, effect.parameters))
+    assert effect.enters_at in ("steering", "force", "tyre", "sensor")
+    assert CATALOGUE[effect.name] is effect
+
+
+@every_parameter
+def test_parameter_has_unit_prior_null_and_fields(parameter: Parameter) -> None:
+    assert parameter.unit
+    assert parameter.low < parameter.high
+    assert parameter.low <= null_of(parameter) <= parameter.high
+    assert parameter.name.split(".")[0] in CATALOGUE
+    assert set(parameter.fields) <= set(RECORD.names or ())
+
+
+@every_drive
+def test_without_effects_inputs_and_motion_pass_untouched(drive: str) -> None:
+    # The integrator alone, fed with the command itself, and its motion read as the measurement: bit for bit what the
+    # whole chain gives with every effect at its null.
+    p, u = record_of(PAPER)[0], exciting()
+    motion = np.empty((len(u), len(MOTION)))
+    derive(p)
+    outcome = drive_through(p, DRIVES[drive], u, np.zeros((1, 4)), 1.0 / RATE, 4, np.array([V, 0.0, 0.0]), motion)
+    assert outcome == FINISHED
+    y = finished(record_of(PAPER), drive, u, (V, 0.0, 0.0))
+    rows = [("a_x", A_X), ("a_y", A_Y), ("r", YAW), ("v_x", V_X), ("v_y", V_Y)]
+    rows += [] if drive == "speed" else [("omega_f", OMEGA_F), ("omega_r", OMEGA_R)]
+    for name, row in rows:
+        assert np.array_equal(y[row], motion[:, MOTION.index(name)])
+
+
+def test_without_effects_the_equations_of_motion_are_the_paper_s() -> None:
+    p = record_of(PAPER)[0]
+    derive(p)
+    l_r, weight = PAPER_L - PAPER_L_F, 1500.0 * G
+    assert p["I_z"] == 1500.0 * PAPER_L_F * l_r
+    assert p["grip"] == 0.9
+    assert p["F_zf_static"] == weight * l_r / PAPER_L
+    assert p["F_zr_static"] == weight * PAPER_L_F / PAPER_L
+    assert all(body_force(p, v_x) == (0.0, 0.0) for v_x in (-20.0, 0.0, 0.5, 10.0, 60.0))
+
+
+PAPER_L, PAPER_L_F = 2.7, 1.3
+
+
+@every_effect
+@every_drive
+def test_null_is_exact(effect: Effect, drive: str) -> None:
+    y = finished(records_at({p: null_of(p) for p in effect.parameters}), drive, exciting(), (V, 0.0, 0.0))
+    assert np.array_equal(y, finished(record_of(PAPER), drive, exciting(), (V, 0.0, 0.0)))
+
+
+@every_effect
+def test_effect_that_is_awake_changes_a_channel(effect: Effect) -> None:
+    y = finished(records_at(awake(effect)), "torque", exciting(), (V, 0.0, 0.0))
+    assert np.abs(y - finished(record_of(PAPER), "torque", exciting(), (V, 0.0, 0.0))).max() > 1e-3
+
+
+@every_parameter
+def test_every_parameter_of_an_awake_effect_matters(parameter: Parameter) -> None:
+    values = awake(CATALOGUE[parameter.name.split(".")[0]])
+    y = finished(records_at(values), "torque", exciting(), (V, 0.0, 0.0))
+    rested = finished(records_at(values | {parameter: null_of(parameter)}), "torque", exciting(), (V, 0.0, 0.0))
+    assert np.abs(y - rested).max() > 1e-3
+
+
+@every_effect
+def test_effect_fades_continuously_into_its_null(effect: Effect) -> None:
+    # A thousandth of the way from the null gives about a thousandth of the change. Delays are the worst: signals that
+    # jump are linear between samples, so 0.15 s reach across all of a jump, and a thousandth of 30 samples across 3 %.
+    base = finished(record_of(PAPER), "torque", exciting(), (V, 0.0, 0.0))
+    values = awake(effect)
+    little = {p: null_of(p) + 1e-3 * (value - null_of(p)) for p, value in values.items()}
+    change, small = (
+        np.abs(finished(records_at(v), "torque", exciting(), (V, 0.0, 0.0)) - base).max() for v in (values, little)
+    )
+    assert small <= 0.031 * change
+
+
+@every_effect
+@every_drive
+def test_corners_of_an_effect_s_prior_give_numbers(effect: Effect, drive: str) -> None:
+    corners = list(product(*((p.low, p.high) for p in effect.parameters)))
+    records = ParameterSpace(effect.parameters).records(np.array(corners), nominal_record(PAPER))
+    u = exciting()
+    u[:, :3] = paper_manoeuvre(MILD, seconds=4.0)[:, :3]
+    y, outcomes = simulate(records, drive, u, (V, 0.0, 0.0))
+    assert (outcomes == FINISHED).all()
+    assert np.isfinite(y).all()
+
+
+everything = tuple(EFFECT_PARAMETERS.values()) + tuple(GENERIC_PRIORS.values())
+
+
+@settings(max_examples=200)
+@given(
+    st.lists(st.floats(0.0, 1.0), min_size=len(everything), max_size=len(everything)), st.sampled_from(sorted(DRIVES))
+)
+def test_anywhere_in_the_joint_prior_it_finishes_with_numbers_or_spins_out(share: list[float], drive: str) -> None:
+    # All effects and all constants of the vehicle at once: a spin is physics, a NaN would be a bug.
+    space, u = ParameterSpace(everything), exciting()
+    records = space.records((space.low + np.array(share) * (space.high - space.low))[np.newaxis], nominal_record(PAPER))
+    substeps = substeps_for(records, drive, 1.0, RATE)
+    y, outcomes = simulate(records, drive, u, (V, 0.0, 0.0), substeps=substeps)
+    assert outcomes[0] != NOT_FINITE
+    assert np.isfinite(y).all() if outcomes[0] == FINISHED else np.isnan(y).all()
+
+
+# --- what single effects amount to ----------------------------------------------------------------------------------
+
+
+def test_delayed_steering_is_the_command_later() -> None:
+    # 0.1 s are 20 samples to the rounding of 0.1 * 200.
+    u, later = exciting(), exciting()
+    later[20:, 0], later[:20, 0] = u[:-20, 0], u[0, 0]
+    delayed = finished(record_of(PAPER, steering_delay_time=0.1), "torque", u, (V, 0.0, 0.0))
+    assert np.allclose(delayed, finished(record_of(PAPER), "torque", later, (V, 0.0, 0.0)), rtol=0.0, atol=1e-10)
+
+
+def test_steering_ratio_and_offset_act_on_the_command_in_that_order() -> None:
+    u, turned = exciting(), exciting()
+    turned[:, 0] = 1.25 * u[:, 0] + 0.01
+    crooked = record_of(PAPER, steering_ratio_gain=1.25, steering_offset_angle=0.01)
+    assert np.array_equal(
+        finished(crooked, "torque", u, (V, 0, 0)), finished(record_of(PAPER), "torque", turned, (V, 0, 0))
+    )
+
+
+def test_friction_level_is_another_mu() -> None:
+    slippery = finished(record_of(PAPER, friction_level_factor=0.5), "torque", exciting(), (V, 0.0, 0.0))
+    assert np.array_equal(slippery, finished(record_of(PAPER, mu=0.45), "torque", exciting(), (V, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("angle", [-0.12, 0.08])
+def test_slope_accelerates_a_rolling_car(angle: float) -> None:
+    # -m g sin(grade) moves the body and two axles that turn; wheels lag by a slip of I_w a/(R^2 C) = 3e-4 of 5 %.
+    mass = 1093.3 + 2 * 3.4 / 0.344**2
+    y = finished(record_of(RIGID, road_grade_angle=angle), "torque", coasting(V, 1.0), (V, 0.0, 0.0))
+    assert y[V_X, -1] - y[V_X, -2] == pytest.approx(-1093.3 * G * math.sin(angle) / mass / RATE, rel=1e-4)
+
+
+@pytest.mark.parametrize("angle", [-0.15, 0.1])
+def test_loads_on_a_slope_balance_the_moment_of_gravity(angle: float) -> None:
+    # Parked, about the rear contact point: F_zf L = m g (l_r cos - h sin). About the front one likewise.
+    p = record_of(RIGID, road_grade_angle=angle)[0]
+    derive(p)
+    weight, l_r = 1093.3 * G, 2.5789 - 1.1562
+    assert p["F_zf_static"] * 2.5789 == pytest.approx(weight * (l_r * math.cos(angle) - 0.57487 * math.sin(angle)))
+    assert p["F_zr_static"] * 2.5789 == pytest.approx(weight * (1.1562 * math.cos(angle) + 0.57487 * math.sin(angle)))
+
+
+def test_banked_road_is_held_by_steering_towards_its_high_side() -> None:
+    # Straight on along the bank both axles carry m g sin(bank) by their share, F_f = m g sin l_r/L: alpha = F/C each,
+    # so v_y = -V alpha_r and delta = alpha_f - alpha_r. Linear tyres; arctan and cos leave the squares of 0.01.
+    bank, m, l_r = 0.01, 1093.3, 2.5789 - 1.1562
+    alpha_f, alpha_r = m * G * bank * l_r / 2.5789 / 100e3, m * G * bank * 1.1562 / 2.5789 / 120e3
+    u = coasting(V, 5.0)
+    u[:, 0] = alpha_f - alpha_r
+    y = finished(record_of(RIGID, road_bank_angle=bank), "speed", u, (V, 0.0, 0.0))
+    assert abs(y[YAW, -1]) < 1e-4 * bank
+    assert y[V_Y, -1] == pytest.approx(-V * alpha_r, rel=1e-3)
+    assert y[A_Y, -1] == pytest.approx(G * bank, rel=1e-3)
+
+
+def test_yaw_inertia_slows_the_yaw_and_nothing_else_at_the_first_sample() -> None:
+    u = coasting(V, 0.1)
+    u[:, 0] = 0.01
+    motion = np.empty((2, len(u), len(MOTION)))
+    for i, factor in enumerate((1.0, 1.3)):
+        p = record_of(RIGID, yaw_inertia_factor=factor)[0]
+        derive(p)
+        drive_through(p, DRIVES["speed"], u, np.zeros((1, 4)), 1 / RATE, 4, np.array([V, 0.0, 0.0]), motion[i])
+    r_dot = motion[:, 0, MOTION.index("r_dot")]
+    assert r_dot[0] / r_dot[1] == pytest.approx(1.3, rel=8 * EPS)
+    others = [i for i, name in enumerate(MOTION) if name != "r_dot"]
+    assert np.array_equal(motion[0, 0, others], motion[1, 0, others])
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=20), st.floats(-30.0, 30.0))
+def test_interpolation_is_numpy_s_and_holds_its_ends(signal: list[float], position: float) -> None:
+    values = np.array(signal)
+    expected = np.interp(position, np.arange(len(values)), values)
+    assert interpolate(values, position) == pytest.approx(expected, rel=1e-12, abs=1e-10)

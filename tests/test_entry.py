@@ -1,0 +1,223 @@
+"""The door of the scripts: one line and status 2 for a wrong value, and a folder that the same command finds again."""
+
+from _entry import LONGEST_NAME, study_name
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parent.parent
+
+SCRIPT = """
+import _entry
+from pathlib import Path
+
+_entry.CONF = Path(__file__).parent / "conf"
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+
+
+@_entry.launch("config")
+def main(cfg):
+    rounds = instantiate(cfg.rounds)
+    match cfg.does:
+        case "bug":
+            raise ZeroDivisionError
+        case "interrupted":
+            raise KeyboardInterrupt
+        case "full disk":
+            with open("/dev/full", "w") as file:
+                file.write("a")
+        case "protected":
+            raise PermissionError(13, "Permission denied", "/protected/table.csv")
+        case "needs":
+            cfg.needed
+        case "extra":
+            instantiate(cfg.rounds, extra=1)
+    Path(HydraConfig.get().runtime.output_dir, "done").write_text(str(rounds))
+
+
+if __name__ == "__main__":
+    main()
+"""
+
+TARGETS = """
+from dataclasses import dataclass
+
+from vehicle_sbi.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rounds:
+    count: int
+    share: float = 0.1
+    cap: float | None = None
+
+    def __post_init__(self):
+        if self.count < 1:
+            raise InputError(f"rounds.count = {self.count}: must be at least 1")
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A project of one script, with the project's own settings of Hydra."""
+    ours = yaml.safe_load((ROOT / "conf" / "config.yaml").read_text())
+    settings = [entry for entry in ours["defaults"] if "override hydra/" in str(entry)]
+    files = {
+        "script.py": SCRIPT,
+        "targets.py": TARGETS,
+        "conf/rounds/several.yaml": "_target_: targets.Rounds\ncount: 5\n",
+        "conf/rounds/single.yaml": "_target_: targets.Rounds\ncount: 1\n",
+        "conf/experiment/misspelt.yaml": "# @package _global_\nrounds: {cuont: 3}\n",
+        "conf/experiment/not_yaml.yaml": "rounds: [1\n",
+        "conf/config.yaml": yaml.safe_dump(
+            {
+                "defaults": ["_self_", {"rounds": "several"}, {"experiment": None}, *settings],
+                "seed": 0,
+                "does": "nothing",
+                "needed": "???",
+                "hydra": ours["hydra"],
+            }
+        ),
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+def run(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    search = os.pathsep.join([str(ROOT / "scripts"), str(ROOT)])
+    inherited = {key: value for key, value in os.environ.items() if key != "HYDRA_FULL_ERROR"}
+    return subprocess.run(
+        [sys.executable, "script.py", *arguments],
+        cwd=folder,
+        env=inherited | {"PYTHONPATH": search} | environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+WRONG: Mapping[str, tuple[str, str]] = {
+    "unknown key": ("rounds.cuont=1", "rounds: unknown key 'cuont'; known: count, cap, share"),
+    "unknown key at the top": (
+        "sed=1",
+        "configuration: unknown key 'sed'; known: seed, needed, does, experiment, rounds",
+    ),
+    "unknown group": ("experment=x", "configuration: unknown key 'experment'; known: experiment, "),
+    "unknown option": ("rounds=sevral", "rounds: unknown option 'sevral'; known: several, single"),
+    "unknown key in a file": (
+        "experiment=misspelt",
+        "rounds (targets.Rounds): unknown key 'cuont'; known: count, cap, share",
+    ),
+    "unknown added key": ("+rounds.foo=1", "rounds (targets.Rounds): unknown key 'foo'; known: "),
+    "key left at its default": ("rounds.share=1", "rounds.share is not in the configuration, which leaves it at its "),
+    "not a number": ("+rounds.share=much", "rounds.share = much: must be a number"),
+    "not whole": ("rounds.count=2.5", "rounds.count = 2.5: must be a whole number"),
+    "null": ("rounds.count=null", "rounds.count = null: must be a whole number"),
+    "list for a scalar": ("rounds.count=[1]", "rounds.count = [1]: must be a whole number"),
+    "what the class refuses": ("rounds.count=0", "rounds.count = 0: must be at least 1"),
+    "what the call lacks": (
+        "~rounds.count",
+        "rounds: Rounds.__init__() missing 1 required keyword-only argument: 'count'",
+    ),
+    "no key=value": ("seed", "cannot read 'seed' as key=value: missing EQUAL"),
+    "unclosed": ("rounds=[a", "cannot read 'rounds=[a' as key=value: "),
+    "sweep without -m": ("seed=1,2", "Ambiguous value for argument 'seed=1,2' "),
+    "unknown target": ("rounds._target_=targets.Nothing", "rounds: cannot import its _target_ 'targets.Nothing'"),
+    "unknown reference": ("seed=${nothing}", "seed: Interpolation key 'nothing' not found"),
+    "missing value": ("does=needs", "needed: Missing mandatory value: needed"),
+    "extra argument": ("does=extra", "rounds: Rounds.__init__() got an unexpected keyword argument 'extra'"),
+    "file that is not YAML": (
+        "experiment=not_yaml",
+        "{folder}/conf/experiment/not_yaml.yaml, line 2: not valid YAML: ",
+    ),
+    "protected file": ("does=protected", "cannot write /protected/table.csv: permission denied"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_value_gets_one_line_and_leaves_no_folder(folder: Path, case: str) -> None:
+    given, line = WRONG[case]
+    done = run(folder, given)
+    assert (done.returncode, done.stderr.count("\n"), done.stdout) == (2, 1, "")
+    assert done.stderr.startswith(f"error: {line.replace('{folder}', str(folder))}")
+    assert not list(folder.glob("outputs/*"))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_gets_one_line(folder: Path) -> None:
+    done = run(folder, "does=full disk")
+    name = study_name(["does=full disk"])
+    assert (done.returncode, done.stderr) == (
+        2,
+        f"error: cannot write {folder}/outputs/{name}: no space left on device\n",
+    )
+
+
+def test_a_bug_keeps_its_traceback(folder: Path) -> None:
+    done = run(folder, "does=bug")
+    assert done.returncode == 1
+    assert "ZeroDivisionError" in done.stderr
+
+
+def test_the_traceback_of_a_wrong_value_is_to_be_had(folder: Path) -> None:
+    done = run(folder, "rounds.count=0", HYDRA_FULL_ERROR="1")
+    assert done.returncode == 1
+    assert "Traceback" in done.stderr
+    assert "InputError" in done.stderr
+
+
+def test_an_interruption_says_how_to_go_on(folder: Path) -> None:
+    done = run(folder, "does=interrupted")
+    assert (done.returncode, done.stderr.count("\n")) == (130, 1)
+    assert "the same command continues" in done.stderr
+
+
+@pytest.mark.parametrize("launcher", ["basic", "joblib"])
+def test_a_sweep_names_the_job_that_fails_and_runs_the_others(folder: Path, launcher: str) -> None:
+    done = run(folder, "-m", "rounds.count=1,0,2", f"hydra/launcher={launcher}")
+    assert done.returncode == 2
+    assert done.stderr == "error: job rounds.count=0: rounds.count = 0: must be at least 1\n"
+    assert {path.name for path in folder.glob("outputs/sweep/*/")} == {"rounds.count-1", "rounds.count-2"}
+
+
+def test_a_run_writes_only_what_the_script_writes(folder: Path) -> None:
+    done = run(folder, "seed=1", "rounds=single", "hydra.job.name=x")
+    assert (done.returncode, done.stderr) == (0, "")
+    written = [path for path in (folder / "outputs").rglob("*") if path.is_file()]
+    assert written == [folder / "outputs" / "rounds-single+seed-1" / "done"]
+
+
+def test_threads_are_set_before_numpy_is_imported_unless_the_user_has_set_them(folder: Path) -> None:
+    code = "import os, sys, _entry; print(os.environ['OMP_NUM_THREADS'], {'numpy', 'torch'} & sys.modules.keys())"
+    (folder / "script.py").write_text(code)
+    unset = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
+    environment = unset | {"PYTHONPATH": os.pathsep.join([str(ROOT / "scripts"), str(ROOT)])}
+    call = [sys.executable, "-c", code]
+    assert subprocess.check_output(call, env=environment, text=True) == "1 set()\n"
+    assert subprocess.check_output(call, env=environment | {"OMP_NUM_THREADS": "3"}, text=True) == "3 set()\n"
+
+
+def test_the_name_of_a_study_does_not_depend_on_the_order_of_its_keys() -> None:
+    assert study_name([]) == "default"
+    assert study_name(["seed=3", "estimator=maf"]) == study_name(["estimator=maf", "seed=3"]) == "estimator-maf+seed-3"
+
+
+def test_names_of_different_studies_differ_and_are_safe_as_folders() -> None:
+    long = [f"prior.parameter_{i}=[0,{i}]" for i in range(30)]
+    studies = [["recording=a/b.csv"], ["recording=a_b.csv"], ["recording=../b.csv"], ["~x"], ["x="], long, long[:-1]]
+    names = [study_name(study) for study in studies]
+    assert len(set(names)) == len(names)
+    for name in names:
+        assert len(name) <= LONGEST_NAME + 9
+        assert not set(name) & set("/=,[]~ ")
+        assert not name.startswith(".")

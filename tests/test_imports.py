@@ -1,0 +1,51 @@
+"""A module imports only from those above it in the house's list, and configuration stays in scripts/ and tests/."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+ORDER = """
+errors files parameters rng
+physics.vehicle physics.tyre physics.effects physics.sensors physics.single_track physics.full_vehicle
+data.recording data.readers data.manoeuvre data.noise
+inference.prior inference.simulator inference.information inference.embedding inference.features
+inference.estimator inference.training inference.proposal inference.rounds inference.calibration
+mismatch.locate mismatch.explain mismatch.improve mismatch.verdict
+report.run_folder report.tables report.figures report.page report.autoware
+""".split()
+RANK = {f"vehicle_sbi.{name}": rank for rank, name in enumerate(ORDER)}
+MODULES = sorted((ROOT / "vehicle_sbi").rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Every module that a file imports, lazily or not; `from package import module` counts as the module."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}, line {node.lineno}: imports are absolute here"
+            submodules = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from (name if name in RANK else str(node.module) for name in submodules)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_a_module_imports_only_from_above_it(path: Path) -> None:
+    module, ours = name_of(path), [name for name in imported(path) if name.split(".")[0] == "vehicle_sbi"]
+    if path.name == "__init__.py":
+        assert not ours, f"{module} imports {', '.join(ours)}; packages here are only folders"
+        return
+    assert module in RANK, f"{module} has no place in the house: give it one in {Path(__file__).name}"
+    below = [name for name in ours if RANK.get(name, len(RANK)) >= RANK[module]]
+    assert not below, f"{module} imports {', '.join(below)}, which the house has below it"
+
+
+@pytest.mark.parametrize("path", [*MODULES, *sorted((ROOT / "benchmarks").rglob("*.py"))], ids=name_of)
+def test_only_scripts_know_of_hydra(path: Path) -> None:
+    assert not {name.split(".")[0] for name in imported(path)} & {"hydra", "omegaconf"}

@@ -1,0 +1,343 @@
+"""Laws of reading, and the one line that each kind of bad file gets."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from vehicle_sbi.data.readers import UNITS, ChannelSource, RecordingFile, factor, flag_spikes, read
+from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.errors import InputError
+
+ROOT = Path(__file__).parent.parent
+RECORDINGS = Path(os.environ.get("VEHICLE_SBI_RECORDINGS", ROOT.parent / "shared/recordings"))
+
+N = 400
+
+
+def frame(n: int = N) -> pd.DataFrame:
+    t = np.arange(n) / 100.0
+    return pd.DataFrame(
+        {"time_s": t, "steering_rad": 0.1 * t, "v_x_mps": 10.0 + t, "a_y_mps2": np.sin(t), "yaw_rate_radps": 0.2 * t}
+    )
+
+
+def saved(folder: Path, data: pd.DataFrame, name: str = "drive.csv") -> Path:
+    path = folder / name
+    data.to_csv(path, index=False) if name.endswith(".csv") else data.to_parquet(path)
+    return path
+
+
+VBO = """File created on 01/01/2020 @ 00:00
+
+[header]
+time
+Lat acc.
+
+[column names]
+sats time v-kmh  Lat._acc.\x20
+
+[data]
+"""
+
+
+def vbo(folder: Path, rows: list[str], head: str = VBO) -> Path:
+    path = folder / "drive.VBO"
+    path.write_text(head + "\n".join(rows) + "\n", encoding="latin-1")
+    return path
+
+
+VBO_MAPPING = {"v_x": {"column": "v-kmh", "unit": "km/h"}, "a_y": {"column": "Lat._acc", "unit": "g", "group": "can"}}
+
+
+@pytest.mark.parametrize("name", ["drive.csv", "drive.parquet"])
+def test_native_files_come_back_as_they_were_written(tmp_path, name):
+    data = frame()
+    rec = read(saved(tmp_path, data, name))
+    assert rec.rate == 100.0
+    for channel in rec.channels:
+        np.testing.assert_allclose(rec.channels[channel], data[CHANNELS[channel].column], rtol=1e-12, atol=1e-12)
+        assert rec.valid[channel].all()
+    assert rec.notes == ()
+    assert rec.name == "drive"
+    assert len(rec.sha256) == 64
+
+
+def test_semicolons_and_tabs_separate_too(tmp_path):
+    for separator in ";\t":
+        frame().to_csv(tmp_path / "drive.csv", sep=separator, index=False)
+        assert len(read(tmp_path / "drive.csv").t) == N
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_units_make_the_round_trip(unit):
+    si, scale = UNITS[unit]
+    assert factor(unit, si, "") == scale
+    channel = next((name for name, c in CHANNELS.items() if c.unit == si), None)
+    if channel is None:
+        return
+    values = np.array([-1.0, 0.0, 2.5])
+    source = ChannelSource(column="x", unit=unit, sign=-1, scale=3.0, offset=0.5)
+    np.testing.assert_allclose(-(source.to_si(channel, values, "") + 0.5) / scale / 3.0, values, atol=1e-12)
+
+
+def test_units_agree_with_their_definitions():
+    assert factor("km/h", "m/s", "") * 36.0 == pytest.approx(10.0)
+    assert factor("deg", "rad", "") * 180.0 == pytest.approx(np.pi)
+    assert factor("rpm", "rad/s", "") * 60.0 == pytest.approx(2.0 * np.pi)
+    assert factor("g", "m/s²", "") == 9.80665
+
+
+def test_a_channel_may_sum_columns_and_a_wheel_be_given_by_its_rim(tmp_path):
+    path = saved(tmp_path, frame().assign(left=100.0, right=50.0, rim=7.0))
+    rec = read(
+        path,
+        {
+            "torque_front": ChannelSource(column=("left", "right"), unit="Nm"),
+            "wheel_speed_fl": ChannelSource(column="rim", unit="km/h", wheel_radius=0.35),
+        },
+    )
+    assert rec.channels["torque_front"] == pytest.approx(150.0)
+    assert rec.channels["wheel_speed_fl"] == pytest.approx(7.0 / 3.6 / 0.35)
+    assert rec.groups == {"torque_front": "can", "wheel_speed_fl": "wheel_speed"}
+
+
+def test_a_time_shifted_file_gives_the_same_recording_later(tmp_path):
+    data = frame()
+    rec = read(saved(tmp_path, data))
+    later = read(saved(tmp_path, data.assign(time_s=data.time_s + 5000.0), "later.csv"))
+    np.testing.assert_allclose(later.t, rec.t + 5000.0)
+    for name, values in rec.channels.items():
+        np.testing.assert_allclose(later.channels[name], values, atol=1e-9)
+
+
+def test_a_straight_line_is_resampled_exactly(tmp_path):
+    t = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.015, 500))
+    path = saved(tmp_path, pd.DataFrame({"time_s": t, "v_x_mps": 3.0 + 2.0 * t}))
+    rec = RecordingFile(path=path, rate=77.0).load()
+    assert rec.rate == 77.0
+    np.testing.assert_allclose(np.diff(rec.t), 1 / 77.0)
+    np.testing.assert_allclose(rec.channels["v_x"], 3.0 + 2.0 * rec.t, rtol=1e-12)
+    assert rec.valid["v_x"].all()
+    assert t[-1] - rec.t[-1] < 1 / 77.0
+    assert "resampled linearly to 77 Hz" in rec.notes[-1]
+
+
+def test_a_rate_is_inferred_from_the_median_step(tmp_path):
+    data = frame()
+    assert read(saved(tmp_path, data.assign(time_s=np.arange(N) / 30.0))).rate == pytest.approx(30.0)
+    assert read(saved(tmp_path, data.drop(index=[50, 51, 200]))).rate == pytest.approx(100.0)
+
+
+def test_time_units_and_cuts(tmp_path):
+    path = saved(tmp_path, frame().assign(time_s=np.arange(N) * 10))
+    rec = RecordingFile(path=path, time_unit="ms", start_s=1.0, stop_s=2.0).load()
+    assert rec.rate == pytest.approx(100.0)
+    assert (rec.t[0], rec.t[-1], len(rec.t)) == pytest.approx((1.0, 2.0, 101))
+
+
+def test_short_gaps_are_filled_and_long_ones_masked_and_both_noted(tmp_path):
+    data = frame()
+    data.loc[100:104, "v_x_mps"] = np.nan
+    data.loc[200:249, "v_x_mps"] = np.nan
+    rec = read(saved(tmp_path, data))
+    v_x, valid = rec.channels["v_x"], rec.valid["v_x"]
+    np.testing.assert_allclose(v_x[95:110], 10.0 + rec.t[95:110])
+    assert np.flatnonzero(~valid).tolist() == [*range(100, 105), *range(200, 250)]
+    assert np.flatnonzero(np.isnan(v_x)).tolist() == list(range(200, 250))
+    assert rec.valid["a_y"].all()
+    assert any(note.startswith("v_x: 5 samples filled linearly") for note in rec.notes)
+    assert any(note.startswith("v_x: 50 samples masked in gaps that start at 2.00 s") for note in rec.notes)
+
+
+def test_missing_rows_are_gaps_of_every_channel(tmp_path):
+    rec = read(saved(tmp_path, frame().drop(index=range(100, 150))))
+    assert len(rec.t) == N
+    assert all(np.flatnonzero(~valid).tolist() == list(range(100, 150)) for valid in rec.valid.values())
+
+
+def test_absent_ends_are_masked(tmp_path):
+    data = frame()
+    data.loc[:19, "a_y_mps2"] = np.nan
+    data.loc[380:, "a_y_mps2"] = np.nan
+    valid = read(saved(tmp_path, data)).valid["a_y"]
+    assert np.flatnonzero(valid).tolist() == list(range(20, 380))
+
+
+def test_files_of_one_drive_are_merged_on_the_stretch_they_share(tmp_path):
+    t = np.arange(-0.5, 3.5, 0.0096)
+    phone = saved(tmp_path, pd.DataFrame({"clock": t, "down": -2.0 * t}), "phone.csv")
+    file = RecordingFile(
+        path=saved(tmp_path, frame()),
+        also=[{"path": phone, "time": "clock", "mapping": {"a_z": {"column": "down", "sign": -1}}}],
+    )
+    rec = file.load()
+    assert rec.t[0] == 0.0
+    assert rec.t[-1] == pytest.approx(3.49)
+    np.testing.assert_allclose(rec.channels["a_z"], 2.0 * rec.t, atol=1e-12)
+    assert rec.valid["a_z"].all()
+    assert "phone.csv" in rec.source
+    assert len(rec.sha256.split(" + ")) == 2
+    with pytest.raises(InputError, match="v_x also comes from another file"):
+        RecordingFile(
+            path=file.path, also=[RecordingFile(path=file.path, mapping={"v_x": {"column": "v_x_mps"}})]
+        ).load()
+    saved(tmp_path, pd.DataFrame({"clock": t + 100.0, "down": t}), "phone.csv")
+    with pytest.raises(InputError, match="no samples from"):
+        file.load()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_spikes_are_flagged_and_noise_is_not(seed):
+    rng = np.random.default_rng(seed)
+    signal = np.sin(np.arange(1000) / 50.0) + rng.normal(0.0, 0.02, 1000)
+    assert not flag_spikes(signal).any()
+    signal[[100, 500]] += [2.0, -1.0]
+    assert np.flatnonzero(flag_spikes(signal)).tolist() == [100, 500]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_steps_pulses_ramps_and_held_samples_are_no_spikes(noise):
+    n = np.arange(1000)
+    shapes = [n >= 500, (n >= 500) & (n < 502), np.maximum(n - 500, 0), n // 5 * 5, np.sin(n / 100) > 0, n * 0 + 1]
+    for shape in shapes:
+        assert not flag_spikes(shape + np.random.default_rng(1).normal(0.0, 1.0, 1000) * noise).any()
+
+
+def test_a_spike_is_filled_but_not_valid(tmp_path):
+    data = frame()
+    data.loc[123, "yaw_rate_radps"] = 9.0
+    rec = read(saved(tmp_path, data))
+    assert np.flatnonzero(~rec.valid["yaw_rate"]).tolist() == [123]
+    assert rec.channels["yaw_rate"][123] == pytest.approx(0.2 * 1.23)
+    assert "yaw_rate: 1 single-sample spikes masked at 1.23 s" in rec.notes
+
+
+def test_vbo_time_runs_across_midnight_and_loses_its_stray_last_row(tmp_path):
+    clock = [f"2359{59 + k / 100:06.3f}" if k < 100 else f"0000{k / 100 - 1:06.3f}" for k in range(200)]
+    rows = [f"010 {time} {36.0 + k:+.3f} -0.5" for k, time in enumerate(clock)]
+    rec = read(vbo(tmp_path, [*rows, "010 000009.000 0 0"]), VBO_MAPPING)
+    assert rec.rate == pytest.approx(100.0)
+    np.testing.assert_allclose(rec.t, np.arange(200) / 100.0, atol=1e-9)
+    np.testing.assert_allclose(rec.channels["v_x"], 10.0 + np.arange(200) / 3.6)
+    assert rec.channels["a_y"] == pytest.approx(-0.5 * 9.80665)
+    assert rec.groups == {"v_x": "can", "a_y": "can"}
+    assert any("the last row" in note and "dropped" in note for note in rec.notes)
+
+
+def text(content: str | bytes, name: str = "drive.csv"):
+    def write(folder: Path) -> Path:
+        path = folder / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+HEAD = "time_s,v_x_mps\n"
+BAD_FILES = {
+    "absent": (lambda folder: folder / "drive.csv", "drive.csv: no such file"),
+    "folder": (lambda folder: folder, "is no file"),
+    "suffix": (text("x", "drive.mf4"), r"'\.mf4' are not read; those that are: \.csv, \.txt, \.parquet, \.vbo"),
+    "empty": (text(""), "drive.csv: is empty"),
+    "blank": (text("\n\n"), "drive.csv: is empty"),
+    "header only": (text(HEAD), "has 0 data rows"),
+    "binary": (text(b"PAR1\0\0\1\2"), "is binary"),
+    "html": (text("<!DOCTYPE html>\n<p>not found</p>"), "is HTML"),
+    "prose": (text("Dear reader\nthis is a letter\n"), "row 1: is no CSV"),
+    "no time": (text("t,v_x_mps\n0,1\n1,1\n2,1"), "unknown column 'time_s'; known: "),
+    "no native column": (text("time_s,speed\n0,1\n1,1\n2,1"), "no native column and no mapping"),
+    "truncated": (text(HEAD + "0,1\n1,1\n2"), "row 4 has 1 fields, the header names 2 columns .is the file truncated"),
+    "too wide": (text(HEAD + "0,1\n1,1,5\n2,2"), "row 3 has 3 fields, the header names 2 columns$"),
+    "no number": (text(HEAD + "0,1\n1,fast\n2,2"), "row 3, column 'v_x_mps': 'fast' is no number"),
+    "repeated time": (
+        text(HEAD + "0,1\n1,1\n1,1\n2,1"),
+        "row 4, column 'time_s': 1 s repeats the time of the row above",
+    ),
+    "time goes back": (text(HEAD + "0,1\n1,1\n0.5,1\n2,1"), "row 4, column 'time_s': 0.5 s lies before the row above"),
+    "time absent": (text(HEAD + "0,1\n1,1\n,1\n2,1"), "row 4, column 'time_s': no time"),
+    "mostly absent": (
+        text(HEAD + "0,1\n1,\n2,\n3,\n4,1"),
+        "row 3, column 'v_x_mps': v_x holds no number here and in 60%",
+    ),
+    "parquet": (text("time_s", "drive.parquet"), "cannot be read as Parquet"),
+    "vbo of another kind": (text("a,b\n1,2\n", "drive.vbo"), r"no section \[column names\] and no \[data\]"),
+    "vbo without rows": (lambda folder: vbo(folder, []), "has 0 data rows"),
+    "vbo cut": (
+        lambda folder: vbo(folder, ["1 000000.0 1 1", "1 000001.0 1 1", "1 00"]),
+        "row 13 has 2 fields, .*trunc",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_a_bad_file_is_one_clear_line(tmp_path, case):
+    make, message = BAD_FILES[case]
+    with pytest.raises(InputError, match=message) as error:
+        read(make(tmp_path))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"mapping": {"a_y": {"column": "a_y_mps"}}}, "unknown column 'a_y_mps'; known: a_y_mps2"),
+        ({"mapping": {"a_y": {"column": "a_y_mps2", "unit": "m/s3"}}}, "channel a_y: unknown unit 'm/s3'; known: m/s"),
+        ({"mapping": {"a_y": {"column": "a_y_mps2", "unit": "deg"}}}, "'deg' does not convert to m/s²; allowed: .*g"),
+        ({"mapping": {"a_y": {"column": "a_y_mps2", "sign": 2}}}, "sign 2 is neither 1 nor -1"),
+        ({"mapping": {"a_y": {"column": "a_y_mps2", "group": "cab"}}}, "unknown group 'cab'; known: can"),
+        (
+            {"mapping": {"a_y": {"column": "a_y_mps2", "units": "g"}}},
+            "channel a_y: unknown setting 'units'; known: unit",
+        ),
+        ({"mapping": {"a_y": {"column": "a_y_mps2", "wheel_radius": 0.3}}}, "wheel_radius"),
+        ({"mapping": {"ay": {"column": "a_y_mps2"}}}, "mapping: unknown channel 'ay'; known: a_y"),
+        ({"mapping": {"a_y": {"unit": "g"}}}, "channel a_y: no value for column"),
+        ({"time_unit": "h"}, "column time_s: unknown unit 'h'"),
+        ({"time": "clock"}, "unknown column 'clock'"),
+        ({"rate": -1.0}, "rate -1 Hz is not positive"),
+        ({"start_s": 50.0}, "no samples from 50 to 3.99 s; its files hold 0 to 3.99 s"),
+    ],
+)
+def test_a_wrong_setting_is_one_clear_line(tmp_path, settings, message):
+    with pytest.raises(InputError, match=message) as error:
+        RecordingFile(path=saved(tmp_path, frame()), **settings).load()
+    assert "drive.csv" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+CONFIGURED = {
+    "volvo_s90_slalom": (3578, 100.0),
+    "volvo_s90_slalom_imu": (3578, 100.0),
+    "toyota_rav4_car": (5999, 100.0),
+    "toyota_rav4_phone": (5999, 100.0),
+    "ferrari_250lm": (30000, 100.0),
+    "dart_sine_steering": (494, 10.0),
+}
+
+
+@pytest.mark.parametrize("name", CONFIGURED)
+def test_configured_recordings_load_and_turn_left_when_steered_left(name):
+    config = OmegaConf.load(ROOT / "conf/recording" / f"{name}.yaml")
+    OmegaConf.update(config, "path", str(config.path).replace("../shared/recordings", str(RECORDINGS)))
+    for other in config.also if "also" in config else []:
+        other.path = str(other.path).replace("../shared/recordings", str(RECORDINGS))
+    if not Path(config.path).exists():
+        pytest.skip(f"{config.path} is not here")
+    file = instantiate(config)
+    rec = file.load()
+    assert (len(rec.t), rec.rate) == CONFIGURED[name]
+    windows = rec.windows(
+        drive=file.drive, channels=file.channels, length_s=5.0, steering_ratio=16.0, v_min=file.v_min, start_s=rec.t[0]
+    )
+    steering, v_x = windows.u[..., 0].ravel(), windows.u[..., 3].ravel()
+    yaw_rate = windows.y[windows.channels.index("yaw_rate")]
+    good = np.isfinite(yaw_rate)
+    assert np.corrcoef((v_x * steering)[good], yaw_rate[good])[0, 1] > 0.6
+    if "a_y" in windows.channels:
+        a_y = windows.y[windows.channels.index("a_y")]
+        assert np.corrcoef((v_x * yaw_rate)[good], a_y[good])[0, 1] > 0.9

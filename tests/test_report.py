@@ -1,0 +1,309 @@
+"""Tables say what the samples say, to the digits they support; pages and pictures are whole and stand alone."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.parameters import Parameter, ParameterSpace
+from vehicle_sbi.report import figures, page, tables
+from vehicle_sbi.report.run_folder import RunFolder
+
+ROOT = Path(__file__).resolve().parents[1]
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def parameter(name: str, unit: str, low: float, high: float, *fields: str) -> Parameter:
+    relative = name.startswith("delta_")
+    return Parameter(
+        name=name, unit=unit, low=low, high=high, fields=fields or (name,), relative=relative,
+        scale=1e5 if relative else 1.0,
+    )  # fmt: skip
+
+
+SPACE = ParameterSpace(
+    (
+        parameter("l_f", "m", 1.0, 1.5),
+        parameter("h_cog", "m", 0.2, 0.6),
+        parameter("delta_C_kappa", "1e5 N", -0.2, 0.5, "C_kappa_f", "C_kappa_r"),
+    )
+)
+TRUE = np.array([1.3, 0.4, 0.1])
+NOMINAL = {"l_f": 1.3, "h_cog": 0.5, "C_kappa_f": 1e5, "C_kappa_r": 9e4}
+
+
+def samples(n: int = 1000, seed: int = 0) -> np.ndarray:
+    """A narrow l_f, an h_cog that is the prior, a middling delta_C_kappa."""
+    g = np.random.default_rng(seed)
+    columns = (g.normal(1.3, 0.009, n), g.uniform(0.2, 0.6, n), np.clip(g.normal(0.1, 0.08, n), -0.2, 0.5))
+    return np.column_stack(columns)
+
+
+def table(true: np.ndarray | None = TRUE, seed: int = 0) -> pd.DataFrame:
+    return tables.posterior_table(SPACE, samples(seed=seed), true=true, bound_std=np.array([0.008, np.inf, 0.07]))
+
+
+@given(st.floats(-1e7, 1e7), st.floats(1e-9, 1e7))
+def test_rounding_supports_the_uncertainty(value: float, std: float) -> None:
+    """What is dropped is at most half the second digit of std, so under a twentieth of std (plus float error)."""
+    shown = tables.rounded(value, std)
+    assert abs(float(shown) - value) <= 0.0501 * std + 1e-15 * abs(value)
+    digits = tables.rounded(std, std).replace(".", "").strip("0")
+    assert len(digits) <= 2
+    assert not re.fullmatch(r"-0\.?0*", shown)
+
+
+@pytest.mark.parametrize(
+    ("mean", "std", "shown"),
+    [
+        (1.48912, 0.00768, "1.4891 ± 0.0077"),
+        (161234.0, 5123.0, "161200 ± 5100"),
+        (0.5, 0.0996, "0.50 ± 0.10"),
+        (-0.001, 0.12, "0.00 ± 0.12"),
+        (7.0, 0.0, "7 ± 0"),
+    ],
+)
+def test_mean_and_std_as_shown(mean: float, std: float, shown: str) -> None:
+    assert tables.mean_and_std(mean, std) == shown
+
+
+def test_the_table_is_what_numpy_says() -> None:
+    drawn, found = samples(), table()
+    assert tuple(found.columns) == tables.COLUMNS
+    np.testing.assert_array_equal(
+        found[["q05", "q50", "q95"]].to_numpy().T, np.quantile(drawn, [0.05, 0.5, 0.95], axis=0)
+    )
+    np.testing.assert_array_equal(found["std"], drawn.std(axis=0, ddof=1))
+    np.testing.assert_array_equal(found["true"], TRUE)
+
+
+def test_the_prior_contracts_by_nothing() -> None:
+    """s^2 of n uniform draws has relative standard deviation sqrt(0.8/n) (kurtosis 1.8); five of them are allowed."""
+    n = 20_000
+    drawn = np.random.default_rng(1).uniform(SPACE.low, SPACE.high, (n, len(SPACE)))
+    found = tables.posterior_table(SPACE, drawn, bound_std=np.full(len(SPACE), 1e-3))
+    np.testing.assert_allclose(found["contraction"], 0.0, atol=5.0 * np.sqrt(0.8 / n))
+    assert not found["identified"].any()
+    assert found["true"].isna().all()
+
+
+def test_identified_needs_a_bound_that_allows_it_and_a_posterior_that_shows_it() -> None:
+    drawn = samples()
+    known = [
+        tables.posterior_table(SPACE, drawn, bound_std=np.full(3, bound))["identified"].tolist()
+        for bound in (0.01, np.nan, np.inf)
+    ]
+    assert known == [[True, False, True], [True, False, True], [False, False, False]]
+
+
+def test_csv_keeps_every_digit_and_people_are_told_what_is_not_identified(tmp_path: Path) -> None:
+    found = table()
+    nominal = tables.nominal_table(SPACE, NOMINAL, noise_percent={"C_kappa_f": 5.0})
+    tables.write_tables(tmp_path, found, nominal, ["3 of 1000 simulations failed"])
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "table.csv"), found, rtol=1e-15, atol=0.0)
+    for text in (*((tmp_path / f"table.{kind}").read_text() for kind in ("md", "tex")), tables.terminal(found)):
+        assert text.count(tables.NOT_IDENTIFIED) == 1
+    assert "3 of 1000 simulations failed" in (tmp_path / "table.md").read_text()
+    tex = (tmp_path / "table.tex").read_text()
+    assert r"$l_{f}$ & $h_{\mathrm{cog}}$ & $\Delta C_{\kappa}$" in tex
+    assert tex.count(r"\toprule") == tex.count(r"\bottomrule") == 2
+
+
+def test_nominal_values_have_their_parameters_unit() -> None:
+    found = tables.nominal_table(SPACE, NOMINAL, noise_percent={"C_kappa_f": 5.0})
+    assert found["quantity"].tolist() == ["l_f", "h_cog", "C_kappa_f", "C_kappa_r"]
+    assert found["nominal"].tolist() == [1.3, 0.5, 1.0, 0.9]
+    assert found["noise_percent"].fillna(-1.0).tolist() == [-1.0, -1.0, 5.0, -1.0]
+
+
+@pytest.mark.parametrize("length", [1, 30, 60])
+def test_the_screen_is_never_exceeded(length: int) -> None:
+    space = ParameterSpace((parameter("p" * length, "rad/(m/s^2)", -12345.0, 12345.0), *SPACE.parameters))
+    drawn = np.column_stack([np.random.default_rng(0).normal(0.0, 0.01234, 1000), samples()])
+    text = tables.terminal(tables.posterior_table(space, drawn, true=np.append(0.0, TRUE), bound_std=np.full(4, 0.01)))
+    assert max(map(len, text.splitlines())) <= tables.SCREEN_WIDTH
+    assert all(p.name in text for p in space.parameters)
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("C_alpha_f", r"$C_{\alpha f}$"),
+        ("dC_kappa_r", r"$\Delta C_{\kappa r}$"),
+        ("delta_C_alpha_f", r"$\Delta C_{\alpha f}$"),
+        ("delta", r"$\delta$"),
+        ("mu", r"$\mu$"),
+        ("body_roll.gradient", "body roll: gradient"),
+        ("steering_ratio", "steering ratio"),
+    ],
+)
+def test_symbols(name: str, shown: str) -> None:
+    assert tables.symbol(name) == shown
+
+
+def finished_run(path: Path, found: pd.DataFrame, seed: int, estimator: str = "nsf") -> None:
+    config = {"seed": seed, "estimator": {"_target_": f"package.{estimator}"}}
+    overrides = [f"seed={seed}", f"estimator={estimator}"]
+    with RunFolder.open(path, config=config, overrides=overrides, inputs={}) as run:
+        tables.write_tables(path, found, tables.nominal_table(SPACE, NOMINAL, noise_percent={}))
+        run.complete()
+
+
+def made_up_runs(folder: Path) -> None:
+    """Ten seeds of one study, the truth outside the 90 % interval of l_f in three; one run of another study."""
+    for seed in range(10):
+        found = table(seed=seed)
+        found.loc[found["parameter"] == "l_f", "true"] = 1.3 if seed >= 3 else 1.4
+        finished_run(folder / f"seed={seed}", found, seed)
+    finished_run(folder / "maf", table(true=None), 0, "maf")
+    RunFolder.open(folder / "killed", config={"seed": 11}, overrides=[], inputs={}).close()
+
+
+def test_gathering_counts_coverage_per_study(tmp_path: Path) -> None:
+    made_up_runs(tmp_path)
+    gathered = tables.gather([tmp_path, tmp_path / "seed=4"])
+    assert len(gathered.runs) == 11 * len(SPACE)
+    assert gathered.left_out == (tmp_path / "killed",)
+    l_f = gathered.seeds.query("study == 'estimator=nsf' and parameter == 'l_f'")
+    assert l_f[["runs", "known", "covered", "coverage90"]].to_numpy().tolist() == [[10, 10, 7, 0.7]]
+    std = gathered.runs.query("parameter == 'l_f' and estimator == 'nsf'")["std"].mean()
+    np.testing.assert_allclose(l_f[["mean_std", "std_over_bound"]].to_numpy(), [[std, std / 0.008]])
+    assert gathered.seeds.query("study == 'estimator=maf'")["coverage90"].isna().all()
+    text = gathered.markdown()
+    assert "7 of 10" in text
+    assert "truth not known" in text
+    assert "killed" in text
+
+
+def test_gathering_names_what_it_cannot_read(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        tables.gather([tmp_path / "absent"])
+    with pytest.raises(InputError, match="no run folder"):
+        tables.gather([tmp_path])
+    RunFolder.open(tmp_path / "killed", config={}, overrides=[], inputs={}).close()
+    with pytest.raises(InputError, match="none of these runs has finished"):
+        tables.gather([tmp_path])
+    finished_run(tmp_path / "run", table(), 0)
+    table().drop(columns="q05").to_csv(tmp_path / "run" / "table.csv")
+    with pytest.raises(InputError, match="column q05 missing"):
+        tables.gather([tmp_path])
+    (tmp_path / "run" / "table.csv").write_text("")
+    with pytest.raises(InputError, match="not a table"):
+        tables.gather([tmp_path])
+
+
+@pytest.mark.slow
+def test_the_script_gathers_and_refuses_in_one_line(tmp_path: Path) -> None:
+    made_up_runs(tmp_path / "sweep")
+
+    def report(runs: Path) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "scripts/report.py", f"runs=[{runs}]", f"hydra.run.dir={tmp_path / 'report'}"]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+
+    good, bad = report(tmp_path / "sweep"), report(tmp_path / "absent")
+    assert good.returncode == 0, good.stderr
+    assert "7 of 10" in good.stdout
+    assert sorted(file.name for file in (tmp_path / "report").iterdir()) == ["runs.csv", "runs.md", "seeds.csv"]
+    assert (bad.returncode, bad.stderr.count("\n")) == (2, 1)
+    assert "no such folder" in bad.stderr
+
+
+def predicted(windows: int, time: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    g = np.random.default_rng(0)
+    t = np.arange(windows * time).reshape(windows, time) / 100.0
+    middle = np.sin(t.ravel())[None] * np.array([[1.0], [3.0]])
+    measured = middle + 0.1 * g.standard_normal(middle.shape)
+    measured[1, : time // 2] = np.nan
+    valid = np.isfinite(measured)
+    valid[:, -10:] = False
+    return t, measured, np.stack([middle - 0.16, middle, middle + 0.16]), valid
+
+
+def draw(name: str, path: Path) -> None:
+    if name == "pairplot":
+        figures.pairplot(samples(200), SPACE, TRUE, path)
+    elif name == "predictive":
+        figures.predictive(*predicted(3, 50), ["a_x", "yaw_rate"], ["m/s^2", "rad/s"], path)
+    elif name == "losses":
+        curve = {"training_loss": [3.0, 2.0, 1.0], "validation_loss": [3.0, 2.5, 2.6]}
+        figures.losses([[curve, curve]] * 6, path)
+    else:
+        figures.contraction_bars(table(), path)
+
+
+FIGURES = ["pairplot", "predictive", "losses", "contraction_bars"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FIGURES)
+def test_figures_are_whole_pngs(tmp_path: Path, name: str) -> None:
+    draw(name, tmp_path / "deeper" / "figure.png")
+    assert (tmp_path / "deeper" / "figure.png").read_bytes().startswith(PNG)
+    assert [file.name for file in (tmp_path / "deeper").iterdir()] == ["figure.png"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FIGURES)
+def test_an_exception_in_mid_write_leaves_the_earlier_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def half(figure: object, file: object, **options: object) -> None:
+        file.write(PNG)  # type: ignore[attr-defined]
+        raise OSError(28, "No space left on device")
+
+    (tmp_path / "figure.png").write_bytes(b"earlier")
+    monkeypatch.setattr(figures.Figure, "savefig", half)
+    with pytest.raises(OSError, match="No space left"):
+        draw(name, tmp_path / "figure.png")
+    assert [file.read_bytes() for file in tmp_path.iterdir()] == [b"earlier"]
+
+
+def test_a_flat_posterior_is_drawn_flat_up_to_the_priors_bounds() -> None:
+    """Mirrored kernels integrate to one over the box; the density of n uniform draws stays within its own noise."""
+    low, high = np.array([0.2]), np.array([0.6])
+    grid = np.linspace(0.2, 0.6, 401)
+    drawn = np.random.default_rng(0).uniform(0.2, 0.6, (5000, 1))
+    density = figures._density(drawn, grid[:, None], low, high)
+    assert np.trapezoid(density, grid) == pytest.approx(1.0, abs=1e-3)
+    # var f = f / (2 sqrt(pi) n h), twice that at a mirrored edge; h = sigma n^(-1/5), Scott's rule
+    h = drawn.std() * len(drawn) ** -0.2
+    noise = np.sqrt(2.0 * 2.5 / (2.0 * np.sqrt(np.pi) * len(drawn) * h))
+    np.testing.assert_allclose(density, 2.5, atol=5.0 * noise)
+
+
+def test_a_posterior_without_width_can_be_drawn(tmp_path: Path) -> None:
+    figures.pairplot(np.full((50, 2), (1.2, 0.3)), ParameterSpace(SPACE.parameters[:2]), None, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").exists()
+
+
+def test_contours_hold_the_mass_they_claim() -> None:
+    x = np.linspace(-6.0, 6.0, 601)
+    density = np.exp(-0.5 * (x[:, None] ** 2 + x[None] ** 2))
+    for mass in figures.MASSES:  # a 2-D normal holds `mass` where the density is above 1 - mass of its peak
+        assert figures._level(density, mass) == pytest.approx(1.0 - mass, abs=2e-3)
+
+
+def test_the_page_stands_alone_and_escapes_what_it_is_given(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(PNG)
+    page.write_page(
+        tmp_path / "report.html",
+        title="a <car>",
+        table_html=tables.html(tables.for_people(table())),
+        notes=["C_alpha < 1e5 & so on"],
+        warnings=["h_cog is " + tables.NOT_IDENTIFIED],
+        figures={"Posterior": tmp_path / "a.png"},
+    )
+    text = (tmp_path / "report.html").read_text()
+    assert not re.search(r"(?:https?:)?//|@import|url\(|<script|<link", re.sub(r"base64,[^\"]*", "", text))
+    assert "a &lt;car&gt;" in text
+    assert "C_alpha &lt; 1e5 &amp; so on" in text
+    assert text.index('role="alert"') < text.index("<table") < text.index("<li>") < text.index("<img")

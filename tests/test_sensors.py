@@ -1,0 +1,153 @@
+"""Laws of the sensors: rigid-body kinematics, gravity that leaks in, and delays that lose nothing but time."""
+
+import math
+
+import numpy as np
+import pytest
+from cars import RATE, RIGID, coasting, finished, record_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vehicle_sbi.physics.effects import derive
+from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, MOTION, lever_arm, measure, report
+
+EPS = np.finfo(float).eps
+G, V = 9.81, 10.5
+A_X, A_Y, YAW, OMEGA_F, OMEGA_R, V_X, V_Y = range(len(MEASUREMENTS))
+LEAN = math.radians(4.5) / G  # 4.5 deg per g, in rad/(m/s^2)
+
+
+def measured(motion: np.ndarray, rate: float = RATE, **fields: float) -> np.ndarray:
+    """MEASUREMENTS (7, time) of a motion (time, 8)."""
+    p, y = record_of(RIGID, **fields)[0], np.empty((len(MEASUREMENTS), len(motion)))
+    derive(p)
+    measure(p, motion, rate, y)
+    return y
+
+
+def motion_of(time: int = 50, **columns: float) -> np.ndarray:
+    """A motion that holds the given columns of MOTION and is zero elsewhere."""
+    motion = np.zeros((time, len(MOTION)))
+    for name, value in columns.items():
+        motion[:, MOTION.index(name)] = value
+    return motion
+
+
+def test_perfect_sensors_report_the_motion_bit_for_bit() -> None:
+    motion = np.random.default_rng(30).normal(size=(100, len(MOTION)))
+    y = measured(motion)
+    for row, name in enumerate(("a_x", "a_y", "r", "omega_f", "omega_r", "v_x", "v_y")):
+        assert np.array_equal(y[row], motion[:, MOTION.index(name)])
+
+
+def test_lever_arm_adds_centripetal_and_angular_acceleration() -> None:
+    y = measured(motion_of(r=0.3, r_dot=0.5), imu_lever_arm_x=-0.3)
+    assert y[A_X] == pytest.approx(0.027, rel=8 * EPS)
+    assert y[A_Y] == pytest.approx(-0.15, rel=8 * EPS)
+
+
+centimetres = st.floats(-2.0, 2.0)
+
+
+@given(centimetres, centimetres, st.floats(1.0, 40.0), st.floats(-3.0, 3.0), st.floats(0.05, 2.0))
+def test_on_a_steady_circle_every_point_accelerates_towards_the_centre(
+    x: float, y: float, v_x: float, v_y: float, r: float
+) -> None:
+    # The centre of rotation lies at (-v_y/r, v_x/r) in body axes; a point falls towards it with r^2 times its distance.
+    p = record_of(RIGID, imu_lever_arm_x=x, imu_lever_arm_y=y)[0]
+    expected = r * r * np.array([-v_y / r - x, v_x / r - y])
+    assert lever_arm(p, -v_y * r, v_x * r, r, 0.0) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+@given(centimetres, centimetres, st.floats(-5.0, 5.0))
+def test_angular_acceleration_is_felt_square_to_the_arm(x: float, y: float, r_dot: float) -> None:
+    p = record_of(RIGID, imu_lever_arm_x=x, imu_lever_arm_y=y)[0]
+    a_x, a_y = lever_arm(p, 0.0, 0.0, 0.0, r_dot)
+    assert a_x * x + a_y * y == pytest.approx(0.0, abs=1e-13)
+    assert math.hypot(a_x, a_y) == pytest.approx(abs(r_dot) * math.hypot(x, y), rel=4 * EPS)
+
+
+def test_body_roll_adds_eight_percent_to_steady_lateral_acceleration() -> None:
+    # cos(phi) + g sin(phi)/a_y with phi = gradient a_y: 1 + g gradient to phi^2 (1/2 + g gradient/6).
+    delta, u = 0.01, coasting(V, 4.0)
+    u[:, 0] = delta
+    at_cog = finished(record_of(RIGID), "speed", u, (V, 0.0, 0.0))[A_Y, -1]
+    leaning = finished(record_of(RIGID, body_roll_gradient=LEAN, body_roll_lag=0.1), "speed", u, (V, 0.0, 0.0))[A_Y, -1]
+    phi = LEAN * at_cog
+    assert leaning / at_cog == pytest.approx(1.0 + G * 0.0785 / 9.81, abs=phi**2 + 5e-5)  # 0.0785 has three digits
+    assert leaning / at_cog == pytest.approx(1.079, abs=phi**2 + 6e-4)
+    assert leaning == pytest.approx(at_cog * math.cos(phi) + G * math.sin(phi), rel=1e-9)
+
+
+def test_body_roll_follows_a_step_as_a_first_order_lag() -> None:
+    # a_y held over each sample, so the discrete lag is the continuous one at the samples, to rounding.
+    lag, a_y, k = 0.12, 3.0, np.arange(60)
+    motion = motion_of(61, a_y=a_y)
+    motion[0, MOTION.index("a_y")] = 0.0
+    roll = LEAN * a_y * (1.0 - np.exp(-(k + 1) / (RATE * lag)))
+    y = measured(motion, body_roll_gradient=LEAN, body_roll_lag=lag)
+    assert y[A_Y, 1:] == pytest.approx(a_y * np.cos(roll) + G * np.sin(roll), rel=1e-12)
+    assert y[A_Y, 0] == 0.0
+
+
+def test_body_roll_of_a_window_starts_settled() -> None:
+    y = measured(motion_of(a_y=3.0), body_roll_gradient=LEAN, body_roll_lag=0.2)
+    assert np.ptp(y[A_Y]) < 1e-12
+
+
+@pytest.mark.parametrize("angle", [-0.1, 0.05])
+def test_constant_speed_up_a_slope_reads_gravity(angle: float) -> None:
+    y = finished(record_of(RIGID, road_grade_angle=angle), "speed", coasting(V, 1.0), (V, 0.0, 0.0))
+    assert y[A_X] == pytest.approx(G * math.sin(angle), rel=4 * EPS)
+    assert not y[[A_Y, YAW]].any()
+
+
+def test_freely_sliding_down_a_slope_reads_nothing() -> None:
+    # With next to no inertia in its wheels a rolling car falls freely along the slope: specific force zero. What is
+    # left is the share of the wheels, I_w/(R^2 m) = 1.5e-8 each, after their slip has settled.
+    car = record_of(RIGID, road_grade_angle=-0.1, I_wf=2e-6, I_wr=2e-6)
+    y = finished(car, "wheel_speed", free_fall(), (V, 0.0, 0.0), substeps=1)
+    assert np.diff(y[V_X]) * RATE == pytest.approx(G * math.sin(0.1), rel=1e-6)
+    assert np.abs(y[A_X]).max() < 1e-6
+
+
+def free_fall() -> np.ndarray:
+    """Wheel speeds of a car that falls along a slope of -0.1 rad."""
+    u = coasting(V, 1.0)
+    u[:, 5] = u[:, 6] = (V + G * math.sin(0.1) * np.arange(len(u)) / RATE) / 0.344
+    return u
+
+
+def test_parked_across_a_slope_reads_gravity_sideways() -> None:
+    # A car that the tyres hold against the bank has no lateral acceleration in the end but feels g sin(bank).
+    y = measured(motion_of(), road_bank_angle=0.08)
+    assert y[A_Y] == pytest.approx(G * math.sin(0.08), rel=4 * EPS)
+
+
+def test_biases_are_added_to_their_own_channel() -> None:
+    motion = motion_of(a_x=1.0, a_y=2.0, r=0.3)
+    y = measured(motion, accelerometer_bias_x=0.25, accelerometer_bias_y=-0.5, gyro_bias_z=0.0078125)
+    assert np.array_equal(y[[A_X, A_Y, YAW], 0], [1.25, 1.5, 0.3 + 0.0078125])
+    assert np.array_equal(y[3:], measured(motion)[3:])
+
+
+@pytest.mark.parametrize("group", range(len(GROUPS)))
+def test_delay_moves_its_group_and_no_other(group: int) -> None:
+    signal, out = np.random.default_rng(31).normal(size=100), np.empty(100)
+    p = record_of(RIGID, **{f"sensor_delay_{GROUPS[group]}": 7 / RATE})[0]
+    for other in range(len(GROUPS)):
+        report(p, signal, other, RATE, out)
+        if other == group:
+            # A delay of whole samples is a shift, to the rounding of 7/200 * 200; before it the first value holds.
+            assert out[7:] == pytest.approx(signal[:-7], abs=1e-12)
+            assert out[:7] == pytest.approx(np.full(7, signal[0]), abs=1e-12)
+        else:
+            assert np.array_equal(out, signal)
+
+
+@given(st.floats(0.0, 0.2))
+def test_any_delay_of_a_ramp_is_exact(delay: float) -> None:
+    # Linear interpolation reproduces a straight line, so a fraction of a sample counts too.
+    t, out = np.arange(200) / RATE, np.empty(200)
+    report(record_of(RIGID, sensor_delay_imu=delay)[0], t, 0, RATE, out)
+    assert out == pytest.approx(np.maximum(t - delay, 0.0), abs=1e-13)

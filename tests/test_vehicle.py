@@ -1,0 +1,87 @@
+"""A vehicle that cannot exist is refused in one line that says what was given and where."""
+
+import math
+from typing import Any
+
+import jaxtyping
+import numpy as np
+import pytest
+from cars import PAPER
+
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, nominal_record
+from vehicle_sbi.physics.vehicle import CONSTANTS, GENERIC_PRIORS, Vehicle
+
+
+@pytest.fixture(autouse=True)
+def _types_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user's program has no type checker in it: what a YAML file holds reaches the vehicle as it is."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"m": -1500.0}, ("m = -1500", "positive")),
+        ({"m": 0.0}, ("m = 0", "positive")),
+        ({"mu": math.nan}, ("mu = nan", "positive")),
+        ({"L": math.inf}, ("L = inf", "finite")),
+        ({"m": "1500 kg"}, ("m = '1500 kg'", "not a number")),
+        ({"m": True}, ("m = True", "not a number")),
+        ({"l_f": 2.8, "L": 2.7}, ("l_f = 2.8 m", "L = 2.7 m")),
+        ({"l_f": 2.7, "L": 2.7}, ("l_f = 2.7 m", "L = 2.7 m")),
+        ({"drive_front": 1.2}, ("drive_front = 1.2", "between 0 and 1")),
+        ({"brake_front": -0.1}, ("brake_front = -0.1", "positive")),
+        ({"C_vert": 0.0}, ("C_vert = 0", "positive")),
+        ({"steering_ratio": -16.0}, ("steering_ratio = -16", "positive")),
+    ],
+)
+def test_impossible_constant_gets_one_line(wrong: dict[str, Any], said: tuple[str, ...]) -> None:
+    with pytest.raises(InputError) as error:
+        Vehicle(name="shopping cart", **wrong)
+    line = str(error.value)
+    assert "\n" not in line
+    assert all(part in line for part in ("vehicle 'shopping cart'", *said)), line
+
+
+@pytest.mark.parametrize("name", [name for name in CONSTANTS if name not in ("h_cog", "drive_front", "brake_front")])
+@pytest.mark.parametrize("value", [-1.0, 0.0, math.nan, -math.inf, "much"])
+def test_every_constant_is_checked(name: str, value: Any) -> None:
+    with pytest.raises(InputError, match=name):
+        Vehicle(name="car", **{name: value})
+
+
+def test_what_may_be_zero_or_infinite() -> None:
+    Vehicle(name="slab", h_cog=0.0, drive_front=0.0, brake_front=0.0, K=math.inf, C_vert=math.inf)
+
+
+def test_what_is_left_out_is_missing_and_nan_in_the_record() -> None:
+    car = Vehicle(name="half known", m=1500.0, L=2.7)
+    assert set(car.missing) == set(GENERIC_PRIORS) - {"m", "L"}
+    record = nominal_record(car)
+    assert record["m"] == 1500.0
+    assert all(np.isnan(record[name]) for name in car.missing)
+    assert PAPER.missing == ()
+
+
+def test_nominal_record_rests_at_every_null() -> None:
+    record = nominal_record(PAPER)
+    assert all(record[field] == p.null for p in EFFECT_PARAMETERS.values() for field in p.fields)
+    assert all(record[name] == value for name, value in PAPER.constants().items())
+
+
+def test_records_set_free_fields_and_nothing_else() -> None:
+    space = ParameterSpace((GENERIC_PRIORS["mu"], *EFFECT_PARAMETERS.values()))
+    theta = 0.5 * (space.low + space.high)
+    nominal = nominal_record(PAPER)
+    (record,) = space.records(theta[np.newaxis], nominal)
+    free = {field: value for p, value in zip(space.parameters, theta, strict=True) for field in p.fields}
+    names = nominal.dtype.names
+    assert names is not None
+    assert all(np.array_equal(record[n], free.get(n, nominal[n]), equal_nan=True) for n in names)
+
+
+def test_generic_priors_hold_possible_cars_only() -> None:
+    assert GENERIC_PRIORS["l_f"].high < GENERIC_PRIORS["L"].low
+    assert all(0.0 < p.low < p.high for p in GENERIC_PRIORS.values())

@@ -1,0 +1,218 @@
+"""Process, input and measurement noise.
+
+Process noise (the paper, section IV): in every simulation each stiffness is off by a share of its nominal value, drawn
+from a mixture of ten Gaussians whose means and standard deviations are themselves drawn once per study. Measurement
+noise has zero mean and a standard deviation per sample, sigma^2 = (share * value)^2 + floor^2, and may be
+autocorrelated (AR(1)) where it was estimated from a recording.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import lfilter, savgol_filter
+
+from vehicle_sbi.data.recording import Windows
+from vehicle_sbi.errors import InputError, unknown
+
+# Standard deviation over median absolute deviation of a Gaussian, 1 / Phi^-1(3/4).
+GAUSSIAN_MAD = 1.4826
+# Window [s] and order of the local polynomial whose residual is taken for sensor noise.
+SMOOTHING_S, SMOOTHING_ORDER = 0.25, 3
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """An equally weighted mixture of Gaussians over relative deviations; empty means no noise."""
+
+    means: Float[np.ndarray, " k"]
+    stds: Float[np.ndarray, " k"]
+
+    @property
+    def mean(self) -> float:
+        return float(self.means.mean()) if len(self.means) else 0.0
+
+    @property
+    def std(self) -> float:
+        return float(np.sqrt(np.mean(self.stds**2) + self.means.var())) if len(self.means) else 0.0
+
+    def sample(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+        if not len(self.means):
+            return np.zeros(shape)
+        component = rng.integers(len(self.means), size=shape)
+        return self.means[component] + self.stds[component] * rng.standard_normal(shape)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessNoise:
+    """How stiffnesses and inputs deviate from what the parameters say, from simulation to simulation.
+
+    `stiffness` and `inputs` are limits of the mixture's means and standard deviations, as shares of nominal; zero
+    switches that noise off. `per_sample` draws anew at every sample instead of once per simulation.
+    """
+
+    stiffness: float = 0.05
+    inputs: float = 0.0
+    components: int = 10
+    per_sample: bool = False
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.stiffness < 0.3 and 0 <= self.inputs < 0.3 and self.components >= 1):
+            raise InputError(
+                f"noise.process: stiffness {self.stiffness:g} and inputs {self.inputs:g} must lie in [0, 0.3) "
+                f"and components {self.components} be at least 1"
+            )
+
+    def draw(self, rng: np.random.Generator) -> "DrawnProcessNoise":
+        """The study's mixtures: means uniform in +-limit, standard deviations uniform in 0 to limit."""
+
+        def mixture(limit: float) -> Mixture:
+            size = self.components if limit else 0
+            return Mixture(rng.uniform(-limit, limit, size), rng.uniform(0.0, limit, size))
+
+        return DrawnProcessNoise(mixture(self.stiffness), mixture(self.inputs), self.per_sample)
+
+
+@dataclass(frozen=True)
+class DrawnProcessNoise:
+    """The process noise of one study."""
+
+    stiffness: Mixture
+    inputs: Mixture
+    per_sample: bool
+
+
+@dataclass(frozen=True)
+class MeasurementNoise:
+    """Zero-mean noise of each channel: sigma^2 = (share * value)^2 + floor^2, correlated as rho^lag.
+
+    share, floor, rho have one entry a channel, floors in the channel's unit. `window` is the number of samples after
+    which the recording starts anew and so does the correlation.
+    """
+
+    share: Float[np.ndarray, " channels"]
+    floor: Float[np.ndarray, " channels"]
+    rho: Float[np.ndarray, " channels"]
+    window: int
+
+    def std(self, y: Float[np.ndarray, "*n channels time"]) -> Float[np.ndarray, "*n channels time"]:
+        """Standard deviation of each sample, in the channel's unit."""
+        return np.sqrt((self.share[:, None] * y) ** 2 + self.floor[:, None] ** 2)
+
+    def sample(self, shape: tuple[int, int], rng: np.random.Generator) -> Float[np.ndarray, "channels time"]:
+        """Unit noise with the channels' correlation."""
+        unit = rng.standard_normal(shape, dtype=np.float32)
+        if not self.rho.any():
+            return unit
+        correlated = unit.reshape(shape[0], -1, self.window).astype(float)
+        for channel, rho in enumerate(self.rho):
+            first = correlated[channel, :, :1].copy()
+            driven = np.sqrt(1.0 - rho**2) * correlated[channel]
+            driven[:, :1] = first
+            correlated[channel] = lfilter([1.0], [1.0, -rho], driven, axis=-1)
+        return correlated.reshape(shape)
+
+    def whiten(
+        self,
+        residual: Float[np.ndarray, "*n channels time"],
+        std: Float[np.ndarray, "channels time"],
+        valid: np.ndarray,
+    ) -> Float[np.ndarray, "*n channels time"]:
+        """The residual in units of independent standard noise; zero where a sample is not valid.
+
+        Across a masked stretch of g samples an AR(1) process keeps rho^g of its last value, which is what is
+        subtracted (so windows and gaps need no special case).
+        """
+        scaled = np.where(valid, residual / std, 0.0)
+        if not self.rho.any():
+            return scaled
+        white = scaled.copy()
+        for channel, rho in enumerate(self.rho):
+            kept = np.flatnonzero(valid[channel])
+            before, now = kept[:-1], kept[1:]
+            memory = np.where(before // self.window == now // self.window, rho ** (now - before), 0.0)
+            white[..., channel, now] = (scaled[..., channel, now] - memory * scaled[..., channel, before]) / np.sqrt(
+                1.0 - memory**2
+            )
+        return white
+
+
+def _per_channel(values: Mapping[str, float], channels: tuple[str, ...], where: str) -> np.ndarray:
+    """One value a channel, in their order; InputError for one that is missing, unknown or negative."""
+    for name, value in values.items():
+        if not value >= 0:
+            raise InputError(f"{where}: {name} = {value!r}; it must be a number that is not negative")
+    missing = [name for name in channels if name not in values]
+    if missing:
+        raise unknown("channel", missing[0], values, where)
+    return np.array([float(values[name]) for name in channels])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProportionalNoise:
+    """The paper's: a share of the measured value, sample by sample, with a small floor [channel's unit]."""
+
+    share: Mapping[str, float]
+    floor: Mapping[str, float]
+    process: ProcessNoise = ProcessNoise()
+
+    def measurement(self, windows: Windows) -> MeasurementNoise:
+        share = _per_channel(self.share, windows.channels, "noise.share")
+        floor = _per_channel(self.floor, windows.channels, "noise.floor")
+        return MeasurementNoise(share, floor, np.zeros(len(share)), windows.t.shape[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstantNoise:
+    """A stated standard deviation per channel [channel's unit]."""
+
+    std: Mapping[str, float]
+    process: ProcessNoise = ProcessNoise()
+
+    def measurement(self, windows: Windows) -> MeasurementNoise:
+        std = _per_channel(self.std, windows.channels, "noise.std")
+        if not std.all():
+            raise InputError("noise.std: a standard deviation must be positive")
+        return MeasurementNoise(np.zeros(len(std)), std, np.zeros(len(std)), windows.t.shape[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatedNoise:
+    """Estimated from the recording: standard deviation and lag-one correlation of each channel.
+
+    At first from what a local polynomial leaves over (`measurement`), then, once a model has been fitted, from what
+    the model leaves over (`from_residual`), so that slow misfit counts as correlated noise instead of as certainty.
+    """
+
+    process: ProcessNoise = ProcessNoise(stiffness=0.0)
+    model_residual: bool = True
+
+    def measurement(self, windows: Windows) -> MeasurementNoise:
+        if not np.isfinite(windows.y).any():
+            raise InputError("noise=estimated: there is no recording to estimate it from; use noise=paper or constant")
+        length = max(SMOOTHING_ORDER + 2, round(SMOOTHING_S * windows.rate)) | 1
+        y = np.where(np.isfinite(windows.y), windows.y, 0.0).reshape(len(windows.channels), -1, windows.t.shape[1])
+        rest = y - savgol_filter(y, min(length, y.shape[-1] - (1 - y.shape[-1] % 2)), SMOOTHING_ORDER, axis=-1)
+        # The polynomial takes (order + 1) of every `length` degrees of freedom.
+        return from_residual(rest.reshape(windows.y.shape) / np.sqrt(1 - (SMOOTHING_ORDER + 1) / length), windows)
+
+
+def from_residual(residual: Float[np.ndarray, "channels time"], windows: Windows) -> MeasurementNoise:
+    """Noise of a recording from a residual: a robust standard deviation and the lag-one correlation per channel.
+
+    The standard deviation is the larger of the robust and the plain one over 1.5, so that neither spikes nor a
+    residual that is mostly zero decide it. Raises InputError for a channel without valid samples.
+    """
+    time, floor, rho = windows.t.shape[1], [], []
+    for channel, name in enumerate(windows.channels):
+        valid = windows.valid[channel]
+        if valid.sum() < 10:
+            raise InputError(f"noise=estimated: channel {name} has {valid.sum()} valid samples; it needs at least 10")
+        kept = residual[channel, valid]
+        robust = GAUSSIAN_MAD * np.median(np.abs(kept - np.median(kept)))
+        pairs = np.flatnonzero(valid[:-1] & valid[1:] & (np.arange(1, len(valid)) % time > 0))
+        product = np.mean(residual[channel, pairs] * residual[channel, pairs + 1])
+        floor.append(max(robust, float(kept.std()) / 1.5, 1e-9))
+        rho.append(float(np.clip(product / max(np.mean(kept**2), 1e-18), 0.0, 0.999)))
+    return MeasurementNoise(np.zeros(len(floor)), np.array(floor), np.array(rho), time)

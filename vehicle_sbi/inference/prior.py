@@ -1,0 +1,104 @@
+"""Priors: from the nested YAML of a prior file to a parameter space and sbi's box."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from sbi.utils import BoxUniform
+
+from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.parameters import Parameter, ParameterSpace
+from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
+from vehicle_sbi.physics.vehicle import GENERIC_PRIORS, Vehicle
+
+DELTA_SCALE = 1e5
+
+
+def _delta(name: str, unit: str, low: float, high: float, *fields: str) -> Parameter:
+    """The paper's Delta C: an offset from nominal in units of 1e5 (its Table II gives the box)."""
+    return Parameter(name=name, unit=unit, low=low, high=high, fields=fields, scale=DELTA_SCALE, relative=True)
+
+
+DELTAS: Mapping[str, Parameter] = {
+    p.name: p
+    for p in (
+        _delta("delta_C_kappa_f", "1e5 N", -0.2, 0.5, "C_kappa_f"),
+        _delta("delta_C_kappa_r", "1e5 N", -0.2, 0.5, "C_kappa_r"),
+        _delta("delta_C_kappa", "1e5 N", -0.2, 0.5, "C_kappa_f", "C_kappa_r"),
+        _delta("delta_C_alpha_f", "1e5 N/rad", -0.3, 0.3, "C_alpha_f"),
+        _delta("delta_C_alpha_r", "1e5 N/rad", -0.3, 0.3, "C_alpha_r"),
+    )
+}
+
+KNOWN: Mapping[str, Parameter] = {**GENERIC_PRIORS, **DELTAS, **EFFECT_PARAMETERS}
+
+
+def flatten(prior: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """`{aero_drag: {area: [0, 1]}}` as `{"aero_drag.area": [0, 1]}`."""
+    flat: dict[str, Any] = {}
+    for name, value in prior.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{name}.")
+        elif value is not None:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
+def _bounds(name: str, value: Any) -> tuple[float, float]:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
+        raise InputError(f"prior: {name} = {value!r}; a prior is a pair [low, high]")
+    try:
+        low, high = float(value[0]), float(value[1])
+    except (TypeError, ValueError):
+        raise InputError(f"prior: {name} = {value!r}; low and high must be numbers") from None
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise InputError(f"prior: {name} = [{low:g}, {high:g}]; low must be below high")
+    return low, high
+
+
+def parameter_space(prior: Mapping[str, Any], *, vehicle: Vehicle, effects: Sequence[str] = ()) -> ParameterSpace:
+    """The free parameters: those of the prior file, those of the effects, and what the vehicle file leaves out.
+
+    Raises InputError for an unknown name, a box with low >= high, or one in which no vehicle exists.
+    """
+    free: dict[str, Parameter] = {}
+    for name, value in flatten(prior).items():
+        if name not in KNOWN:
+            raise unknown("parameter", name, KNOWN, "prior")
+        low, high = _bounds(name, value)
+        free[name] = replace(KNOWN[name], low=low, high=high)
+    for name in effects:
+        if name not in CATALOGUE:
+            raise unknown("effect", name, CATALOGUE, "effects")
+        free |= {p.name: p for p in CATALOGUE[name].parameters if p.name not in free}
+    set_by_prior = {name for p in free.values() if not p.relative for name in p.fields}
+    free |= {name: GENERIC_PRIORS[name] for name in vehicle.missing if name not in set_by_prior}
+    if not free:
+        raise InputError("prior: no parameter is free; state at least one as name: [low, high]")
+    space = ParameterSpace(tuple(free.values()))
+    _check_physical(space, vehicle)
+    return space
+
+
+def _check_physical(space: ParameterSpace, vehicle: Vehicle) -> None:
+    """Refuse a box that reaches to negative constants or puts the centre of gravity behind the rear axle."""
+    wheelbase = vehicle.L if vehicle.L is not None else GENERIC_PRIORS["L"].low
+    for p in space.parameters:
+        for name in p.fields:
+            if name not in GENERIC_PRIORS:
+                continue
+            nominal = getattr(vehicle, name) if p.relative else 0.0
+            if nominal is None:
+                raise InputError(f"prior: {p.name} is an offset, but vehicle '{vehicle.name}' states no {name}")
+            lowest, highest = nominal + p.scale * p.low, nominal + p.scale * p.high
+            if lowest <= 0:
+                raise InputError(f"prior: {p.name} = [{p.low:g}, {p.high:g}] reaches {name} = {lowest:g}; it must be positive")
+            if name == "l_f" and highest >= wheelbase:
+                raise InputError(f"prior: l_f up to {highest:g} m reaches past the wheelbase {wheelbase:g} m")
+
+
+def box(space: ParameterSpace) -> BoxUniform:
+    """The uniform prior over the space's box, as sbi wants it."""
+    return BoxUniform(torch.as_tensor(space.low, dtype=torch.float32), torch.as_tensor(space.high, dtype=torch.float32))

@@ -1,0 +1,130 @@
+"""From theta and a recording's inputs to measurements: what sbi calls a simulator.
+
+A batch of simulations is a pure function of theta and of addresses (stream, round, index): the same numbers come out
+whatever the size of the batch or the number of cores.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise
+from vehicle_sbi.data.recording import Windows
+from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
+from vehicle_sbi.physics.single_track import DRIVES, FINISHED, simulate_batch
+from vehicle_sbi.rng import Stream, generator
+
+STIFFNESSES = ("C_kappa_f", "C_kappa_r", "C_alpha_f", "C_alpha_r")
+
+
+@dataclass(frozen=True)
+class Draws:
+    """What is random in a simulation before its measurement: all that theta does not decide."""
+
+    stiffness: Float[np.ndarray, "n draws 4"]  # [N, N/rad]
+    inputs: Float[np.ndarray, "n draws 2"]  # relative, steering and torque
+    initial: Float[np.ndarray, "n windows 3"]  # v_x, v_y [m/s], r [rad/s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulator:
+    """A vehicle with free parameters, driven by the inputs of a recording and measured as it was."""
+
+    nominal: np.void
+    space: ParameterSpace
+    drive: str
+    windows: Windows
+    process: DrawnProcessNoise
+    noise: MeasurementNoise
+    uniform_start: bool
+    substeps: int
+    seed: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(channels, samples) of a simulation."""
+        return len(self.windows.channels), self.windows.t.size
+
+    @property
+    def nuisances(self) -> tuple[str, ...]:
+        """Names of what is drawn in each simulation: stiffnesses, input gains, initial states that are uncertain."""
+        stiffness = STIFFNESSES if self.process.stiffness.std and not self.process.per_sample else ()
+        inputs = ("steering", "torque") if self.process.inputs.std and not self.process.per_sample else ()
+        initial = tuple(
+            f"{name}_{w}"
+            for w in range(len(self.windows.x0))
+            for name, std in zip(("v_x", "v_y", "r"), self.windows.x0_std, strict=True)
+            if std > 0
+        )
+        return stiffness + inputs + initial
+
+    def nuisance_draws(self, eta: Float[np.ndarray, "n e"]) -> Draws:
+        """Draws at `eta`, each nuisance's distance from its mean in standard deviations."""
+        columns = dict(zip(self.nuisances, eta.T, strict=True))
+        none = np.zeros(len(eta))
+        nominal = np.array([self.nominal[name] for name in STIFFNESSES])
+        mixture = self.process.stiffness
+        stiffness = np.stack([mixture.mean + mixture.std * columns.get(name, none) for name in STIFFNESSES], -1)
+        mixture = self.process.inputs
+        inputs = np.stack([mixture.mean + mixture.std * columns.get(name, none) for name in ("steering", "torque")], -1)
+        initial = np.repeat(self.windows.x0[None], len(eta), axis=0)
+        for w in range(initial.shape[1]):
+            for i, name in enumerate(("v_x", "v_y", "r")):
+                initial[:, w, i] += self.windows.x0_std[i] * columns.get(f"{name}_{w}", none)
+        return Draws(np.nan_to_num(stiffness * nominal)[:, None], inputs[:, None], initial)
+
+    def _random(self, rng: np.random.Generator) -> Draws:
+        """One simulation's draws, with a leading axis of one."""
+        draws = self.windows.t.shape[1] if self.process.per_sample else 1
+        nominal = np.nan_to_num(np.array([self.nominal[name] for name in STIFFNESSES]))
+        stiffness = nominal * self.process.stiffness.sample((1, draws, 4), rng)
+        inputs = self.process.inputs.sample((1, draws, 2), rng)
+        size = (1, *self.windows.x0.shape)
+        spread = rng.uniform(-np.sqrt(3), np.sqrt(3), size) if self.uniform_start else rng.standard_normal(size)
+        return Draws(stiffness, inputs, self.windows.x0 + self.windows.x0_std * spread)
+
+    def run(self, theta: Float[np.ndarray, "n d"], draws: Draws, dtype=np.float64) -> tuple[np.ndarray, np.ndarray]:
+        """Noise-free measurements (n, channels, time), NaN where a simulation failed, and outcomes (n,)."""
+        y = np.empty((len(theta), *self.shape), dtype)
+        outcomes = np.zeros(len(theta), np.int64)
+        simulate_batch(
+            self.space.records(theta, self.nominal),
+            DRIVES[self.drive],
+            self.windows.u,
+            draws.stiffness,
+            draws.inputs,
+            self.windows.rate,
+            self.substeps,
+            draws.initial,
+            np.array([MEASUREMENTS.index(name) for name in self.windows.channels]),
+            np.array([GROUPS.index(name) for name in self.windows.groups]),
+            y,
+            outcomes,
+        )
+        return y, outcomes
+
+    def noise_free(self, theta: Float[np.ndarray, "n d"], eta: Float[np.ndarray, "n e"] | None = None) -> np.ndarray:
+        """Measurements without noise (n, channels, time), nuisances at their means unless `eta` says otherwise."""
+        return self.run(theta, self.nuisance_draws(np.zeros((len(theta), len(self.nuisances))) if eta is None else eta))[0]
+
+    def simulate(
+        self, theta: Float[np.ndarray, "n d"], index: np.ndarray, *, stream: Stream, round: int = 0
+    ) -> tuple[Float[np.ndarray, "n channels time"], np.ndarray]:
+        """Noisy measurements, zero where a sample is masked, and outcomes; row i has the address index[i]."""
+        rngs = [generator(seed=self.seed, stream=stream, round=round, index=int(i)) for i in index]
+        single = [self._random(rng) for rng in rngs]
+        draws = Draws(*(np.concatenate([getattr(d, f) for d in single]) for f in ("stiffness", "inputs", "initial")))
+        y, outcomes = self.run(theta, draws, np.float32)
+        for row, rng in zip(y, rngs, strict=True):
+            row += self.noise.std(row) * self.noise.sample(row.shape, rng)
+        return np.where(self.windows.valid, y, np.float32(0.0)), outcomes
+
+    def with_noise(self, noise: MeasurementNoise) -> "Simulator":
+        return replace(self, noise=noise)
+
+
+def succeeded(outcomes: np.ndarray) -> np.ndarray:
+    """Which simulations neither spun out nor left the finite numbers."""
+    return outcomes == FINISHED

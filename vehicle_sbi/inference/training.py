@@ -1,0 +1,158 @@
+"""One round's training: sbi's NPE-C with an embedding evaluated once for each x, and a live view of the loss.
+
+The subclass replaces private methods of sbi 0.27, to which the project's dependency is therefore held.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from sbi.inference import NPE_C
+from sbi.inference.posteriors.base_posterior import NeuralPosterior
+from sbi.neural_nets.estimators.base import ConditionalDensityEstimator
+from torch import Tensor
+from torch.distributions import Distribution
+
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.estimator import Builder, Embedded
+from vehicle_sbi.rng import Stream, seed_torch
+
+EpochSeen = Callable[[int, float], None]
+
+
+class Batches:
+    """Shuffled mini-batches by indexing tensors, which costs a tenth of collating rows; the odd rest is left out."""
+
+    def __init__(self, tensors: Sequence[Tensor], rows: Tensor, batch_size: int) -> None:
+        self.tensors, self.rows, self.batch_size = tensors, rows, min(batch_size, len(rows))
+
+    def __len__(self) -> int:
+        return len(self.rows) // self.batch_size
+
+    def __iter__(self) -> Iterator[tuple[Tensor, ...]]:
+        shuffled = self.rows[torch.randperm(len(self.rows))]
+        for i in range(len(self)):
+            rows = shuffled[i * self.batch_size : (i + 1) * self.batch_size]
+            yield tuple(tensor[rows] for tensor in self.tensors)
+
+
+class NoTracker:
+    """sbi's tracker protocol without a log folder; the run folder keeps the losses."""
+
+    log_dir = None
+
+    def log_metric(self, name: str, value: float, step: int | None = None) -> None: ...
+
+    def log_metrics(self, metrics: dict[str, float], step: int | None = None) -> None: ...
+
+    def log_params(self, params: dict[str, Any]) -> None: ...
+
+    def add_figure(self, name: str, figure: Any, step: int | None = None) -> None: ...
+
+    def flush(self) -> None: ...
+
+
+class Npe(NPE_C):
+    """NPE-C that calls `seen(epoch, validation_loss)` after every epoch."""
+
+    def __init__(self, prior: Distribution, build: Builder, seen: EpochSeen) -> None:
+        super().__init__(prior=prior, density_estimator=build, tracker=NoTracker(), show_progress_bars=False)
+        self._seen = seen
+
+    def get_dataloaders(self, starting_round=0, training_batch_size=200, validation_fraction=0.1, *args, **kwargs):
+        tensors = self.get_simulations(starting_round)
+        rows = torch.randperm(len(tensors[0]))
+        training = int((1 - validation_fraction) * len(rows))
+        self.train_indices, self.val_indices = rows[:training], rows[training:]
+        return tuple(Batches(tensors, part, training_batch_size) for part in (self.train_indices, self.val_indices))
+
+    def _get_losses(self, batch, loss_args):
+        theta, x, masks = batch
+        return self._loss(
+            theta, x, masks, loss_args.proposal, loss_args.calibration_kernel, loss_args.force_first_round_loss
+        )
+
+    def _log_prob_proposal_posterior_atomic(self, theta, x, masks):
+        outer = self._neural_net
+        if not isinstance(outer, Embedded):
+            return super()._log_prob_proposal_posterior_atomic(theta, x, masks)
+        embedded = outer.embed(x)
+        self._neural_net = outer.inner
+        try:
+            return super()._log_prob_proposal_posterior_atomic(theta, embedded, masks)
+        finally:
+            self._neural_net = outer
+
+    def _summarize_epoch(self, train_loss, val_loss, epoch_start_time, summarization_kwargs):
+        super()._summarize_epoch(train_loss, val_loss, epoch_start_time, summarization_kwargs)
+        self._seen(self.epoch + 1, float(val_loss))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """How a network is trained in each round; `members` networks from different seeds make an ensemble."""
+
+    batch_size: int = 500
+    learning_rate: float = 1e-3
+    stop_after_epochs: int = 20
+    max_epochs: int = 400
+    validation_fraction: float = 0.1
+    clip_max_norm: float = 5.0
+    atoms: int = 10
+    discard_prior_samples: bool = False
+    members: int = 1
+
+    def __post_init__(self) -> None:
+        if not (self.members >= 1 and self.batch_size >= 2 and self.atoms >= 2 and self.learning_rate > 0):
+            raise InputError("training: members must be at least 1, batch_size and atoms at least 2, learning_rate positive")
+        if not 0 < self.validation_fraction < 1:
+            raise InputError(f"training.validation_fraction = {self.validation_fraction:g}; it must lie between 0 and 1")
+
+
+@dataclass(frozen=True)
+class Simulations:
+    """One round's parameters and features, and the posterior they were proposed by (None: the prior)."""
+
+    theta: Tensor
+    x: Tensor
+    proposal: NeuralPosterior | None = None
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A trained estimator and its loss curves."""
+
+    estimator: ConditionalDensityEstimator
+    training_loss: list[float]
+    validation_loss: list[float]
+
+
+def fit(
+    prior: Distribution,
+    build: Builder,
+    rounds: Sequence[Simulations],
+    training: Training,
+    *,
+    seed: int,
+    round: int,
+    member: int,
+    seen: EpochSeen,
+) -> Fit:
+    """Train one network on all rounds; plain likelihood if every round came from the prior, else NPE-C's loss."""
+    seed_torch(seed=seed, stream=Stream.TRAINING, round=round, index=member)
+    trainer = Npe(prior, build, seen)
+    for simulations in rounds:
+        trainer.append_simulations(simulations.theta, simulations.x, proposal=simulations.proposal)
+    estimator = trainer.train(
+        num_atoms=training.atoms,
+        training_batch_size=training.batch_size,
+        learning_rate=training.learning_rate,
+        validation_fraction=training.validation_fraction,
+        stop_after_epochs=training.stop_after_epochs,
+        max_num_epochs=training.max_epochs - 1,  # sbi runs one more
+        clip_max_norm=training.clip_max_norm,
+        discard_prior_samples=training.discard_prior_samples,
+    )
+    summary = trainer.summary
+    return Fit(estimator, list(summary["training_loss"]), list(summary["validation_loss"]))

@@ -1,0 +1,45 @@
+"""Dugoff's tyre: one shape for both directions, capped by the friction circle.
+
+    F_x = C_kappa kappa / (1 + kappa) f(lambda),   F_y = C_alpha tan(alpha) / (1 + kappa) f(lambda)
+    lambda = mu F_z (1 + kappa) / (2 S),           S = sqrt((C_kappa kappa)^2 + (C_alpha tan alpha)^2)
+    f(lambda) = lambda (2 - lambda) below 1, else 1
+
+(the paper's equations 8 to 10; Rajamani, Vehicle Dynamics and Control, sec. 13.10). Forces and stiffnesses are those
+of an axle, both tyres together.
+"""
+
+import math
+
+from numba import njit
+
+
+@njit(cache=True)
+def dugoff(
+    C_kappa: float, C_alpha: float, mu: float, F_z: float, kappa: float, tan_alpha: float
+) -> tuple[float, float]:
+    """Axle forces (F_x, F_y) [N] at longitudinal slip `kappa` in [-1, 1) and tangent of the slip angle.
+
+    Below the knee the common factor f/(1 + kappa) is 1/(1 + kappa); beyond it the (1 + kappa) cancels, which gives a
+    locked wheel (kappa = -1) its finite limit, the friction circle. No slip or no stiffness is no force.
+    """
+    demand_x = C_kappa * kappa
+    demand_y = C_alpha * tan_alpha
+    grip = mu * max(F_z, 0.0)
+    demand = math.sqrt(demand_x * demand_x + demand_y * demand_y)
+    if demand == 0.0:
+        return 0.0, 0.0
+    if grip * (1.0 + kappa) >= 2.0 * demand:
+        factor = 1.0 / (1.0 + kappa)
+    else:
+        factor = 0.5 * grip / demand * (2.0 - 0.5 * grip * (1.0 + kappa) / demand)
+    return demand_x * factor, demand_y * factor
+
+
+@njit(cache=True)
+def effective_radius(R_f: float, C_vert: float, F_z: float) -> float:
+    """Effective rolling radius [m] of an axle's tyres, 2/3 R_f + 1/3 R_l with R_l = R_f - F_z,tyre / C_vert.
+
+    F_z is the axle's load, half of it on each tyre (the paper's equation 6, with the deflection it prints as a radius
+    subtracted from R_f; Jazar, Vehicle Dynamics, sec. 3.1).
+    """
+    return R_f - 0.5 * F_z / (3.0 * C_vert)
