@@ -12,6 +12,7 @@ from sbi.inference import NPE_C
 from sbi.inference.posteriors.base_posterior import NeuralPosterior
 from sbi.neural_nets.estimators.base import ConditionalDensityEstimator
 from torch import Tensor
+from torch.optim.lr_scheduler import ReduceLROnPlateau
 from torch.distributions import Distribution
 
 from vehicle_sbi.errors import InputError
@@ -56,7 +57,8 @@ class NoTracker:
 class Npe(NPE_C):
     """NPE-C that calls `seen(epoch, validation_loss)` after every epoch."""
 
-    def __init__(self, prior: Distribution, build: Builder, seen: EpochSeen) -> None:
+    def __init__(self, prior: Distribution, build: Builder, seen: EpochSeen,decay=.3,patience=8) -> None:
+        self._decay,self._patience=decay,patience
         super().__init__(prior=prior, density_estimator=build, tracker=NoTracker(), show_progress_bars=False)
         self._seen = seen
 
@@ -86,6 +88,9 @@ class Npe(NPE_C):
 
     def _summarize_epoch(self, train_loss, val_loss, epoch_start_time, summarization_kwargs):
         super()._summarize_epoch(train_loss, val_loss, epoch_start_time, summarization_kwargs)
+        if self.epoch == 0:
+            self._schedule = ReduceLROnPlateau(self.optimizer, factor=self._decay, patience=self._patience)
+        self._schedule.step(val_loss)
         self._seen(self.epoch + 1, float(val_loss))
 
 
@@ -102,6 +107,8 @@ class Training:
     atoms: int = 10
     discard_prior_samples: bool = False
     members: int = 1
+    decay: float=.3
+    patience: int=8
 
     def __post_init__(self) -> None:
         if not (self.members >= 1 and self.batch_size >= 2 and self.atoms >= 2 and self.learning_rate > 0):
@@ -141,7 +148,7 @@ def fit(
 ) -> Fit:
     """Train one network on all rounds; plain likelihood if every round came from the prior, else NPE-C's loss."""
     seed_torch(seed=seed, stream=Stream.TRAINING, round=round, index=member)
-    trainer = Npe(prior, build, seen)
+    trainer = Npe(prior, build, seen,training.decay,training.patience)
     for simulations in rounds:
         trainer.append_simulations(simulations.theta, simulations.x, proposal=simulations.proposal)
     estimator = trainer.train(
