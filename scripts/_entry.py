@@ -20,6 +20,7 @@ import errno
 import functools
 import hashlib
 import inspect
+import json
 import os
 import pydoc
 import re
@@ -51,11 +52,13 @@ from omegaconf.errors import (
 )
 
 from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.report.run_folder import RunFolder
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
 CONF = Path(__file__).resolve().parent.parent / "conf"
+FILES: Mapping[str, tuple[str, ...]] = {"recording": (".csv", ".txt", ".parquet", ".vbo"), "vehicle": (".yaml", ".yml")}
 LONGEST_NAME = 120  # characters; file systems allow 255 for a folder
 REFUSALS = {
     errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM,
@@ -94,6 +97,7 @@ def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
         def main() -> None:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, instead of printing in its own way
             try:
+                sys.argv[1:] = [word for argument in sys.argv[1:] for word in spelled_out(argument)]
                 hydra.main(config_path=str(CONF), config_name=config_name, version_base=None)(job)()
             except KeyboardInterrupt:
                 print("interrupted; the same command continues from what is already on disk", file=sys.stderr)
@@ -109,6 +113,26 @@ def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
         return main
 
     return decorate
+
+
+def spelled_out(argument: str) -> list[str]:
+    """`recording=PATH` and `vehicle=PATH` as Hydra wants them, the group's `file` option and its path."""
+    group, _, value = argument.partition("=")
+    if group not in FILES or not ("/" in value or Path(value).suffix.lower() in FILES[group]):
+        return [argument]
+    return [f"{group}=file", f"{group}.path={json.dumps(value)}"]
+
+
+def run_folder(cfg: DictConfig, *, inputs: Mapping[str, str]) -> RunFolder:
+    """The run folder of this job, new or resumed; `inputs` are the SHA-256 of the files that it reads."""
+    hydra_cfg = HydraConfig.get()
+    return RunFolder.open(
+        Path(hydra_cfg.runtime.output_dir),
+        config=typing.cast(dict[str, object], OmegaConf.to_container(cfg, resolve=True)),
+        overrides=list(hydra_cfg.overrides.task),
+        inputs=inputs,
+        choices={str(group): str(choice) for group, choice in hydra_cfg.runtime.choices.items()},
+    )
 
 
 def study_name(overrides: Sequence[str]) -> str:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.data.recording import CHANNELS, INPUTS, Windows
+from vehicle_sbi.data.recording import CHANNELS, Windows
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 
 
@@ -68,3 +69,11 @@ class Manoeuvre:
             groups=tuple(CHANNELS[name].group for name in self.channels),
             t=np.arange(time)[None] / self.rate,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Synthetic:
+    """In place of a recording file: a manoeuvre that the simulator drives itself."""
+
+    manoeuvre: Manoeuvre
+    drive: str = "torque"

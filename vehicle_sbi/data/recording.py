@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from scipy.signal import savgol_filter
 
 from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.physics.single_track import INPUTS
 
 SMOOTHING_S = 0.25
 """Length [s] of the Savitzky-Golay filter (order 2) behind v_x_dot, the initial states and the smoothed v_x."""
@@ -68,10 +69,7 @@ CHANNELS = _table(
     ("wheel_speed_rr", "radps", "rad/s", "wheel_speed"),
 )
 
-INPUTS = ("steering", "torque_front", "torque_rear", "v_x", "v_x_dot", "wheel_speed_front", "wheel_speed_rear")
-"""Columns of `Windows.u`; those that a drive mode does not use are 0."""
-
-DRIVES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+NEEDED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"torque": ("torque_front",), "wheel_speed": ("wheel_speed_front", "wheel_speed_rear"), "speed": ("v_x",)}
 )
 """What each drive mode needs besides the steering; the rear torque is 0 where it is not recorded."""
@@ -241,10 +239,10 @@ class Recording:
         return series
 
     def _inputs(self, drive: str, steering_ratio: float | None) -> dict[str, Float[np.ndarray, " time"]]:
-        if drive not in DRIVES:
-            raise unknown("drive mode", drive, DRIVES, self.source)
+        if drive not in NEEDED:
+            raise unknown("drive mode", drive, NEEDED, self.source)
         why = f"drive mode '{drive}'"
-        inputs = {name: self._need(name, why)[0] for name in DRIVES[drive]}
+        inputs = {name: self._need(name, why)[0] for name in NEEDED[drive]}
         if drive == "torque":
             inputs["torque_rear"] = self.channels.get("torque_rear", np.zeros_like(self.t))
         if drive == "speed":
@@ -263,7 +261,7 @@ class Recording:
     def _measured(self, name: str, drive: str) -> tuple[Float[np.ndarray, " time"], Bool[np.ndarray, " time"]]:
         if name not in CHANNELS:
             raise unknown("channel", name, CHANNELS, self.source)
-        if name in DRIVES[drive]:
+        if name in NEEDED[drive]:
             raise InputError(f"{self.source}: {name} drives the model in drive mode '{drive}' and cannot be fitted")
         return self._need(name, "the fit")
 

@@ -66,16 +66,16 @@ class DensityEstimator:
 
 @dataclass(frozen=True, kw_only=True)
 class NeuralSplineFlow(DensityEstimator):
-    """Neural spline flow (Durkan et al. 2019), the paper's; `library` names its implementation."""
+    """Neural spline flow (Durkan et al. 2019), the paper's; `model` names sbi's implementation."""
 
-    library: Literal["nflows", "zuko"] = "nflows"
+    model: Literal["nsf", "zuko_nsf"] = "nsf"
     hidden_features: int = 50
-    num_transforms: int = 5
-    num_bins: int = 10
+    num_transforms: int = 3
+    num_bins: int = 8
 
     def builder(self) -> Builder:
         return posterior_nn(
-            "nsf" if self.library == "nflows" else "zuko_nsf",
+            self.model,
             hidden_features=self.hidden_features,
             num_transforms=self.num_transforms,
             num_bins=self.num_bins,
@@ -84,15 +84,15 @@ class NeuralSplineFlow(DensityEstimator):
 
 @dataclass(frozen=True, kw_only=True)
 class MaskedAutoregressiveFlow(DensityEstimator):
-    """Masked autoregressive flow (Papamakarios et al. 2017); `library` names its implementation."""
+    """Masked autoregressive flow (Papamakarios et al. 2017); `model` names sbi's implementation."""
 
-    library: Literal["nflows", "zuko"] = "nflows"
+    model: Literal["maf", "zuko_maf"] = "maf"
     hidden_features: int = 50
     num_transforms: int = 5
 
     def builder(self) -> Builder:
         return posterior_nn(
-            "maf" if self.library == "nflows" else "zuko_maf",
+            self.model,
             hidden_features=self.hidden_features,
             num_transforms=self.num_transforms,
         )

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.simulator import Simulator
 
 STEP = 1e-3  # of the prior's width or of a nuisance's standard deviation, for central differences
@@ -31,13 +32,16 @@ class Sensitivity:
     jacobian: Float[np.ndarray, "p channels time"]
 
 
-def sensitivity(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> Sensitivity:
-    """Central differences by theta and by the nuisances, in one batch of simulations."""
+def sensitivity(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], eta: Float[np.ndarray, " e"] | None = None
+) -> Sensitivity:
+    """Central differences by theta and by the nuisances (at their means unless `eta` is given), in one batch."""
     d, e = len(theta), len(simulator.nuisances)
+    eta = np.zeros(e) if eta is None else eta
     width = np.concatenate([simulator.space.high - simulator.space.low, np.ones(e)])
     steps = STEP * np.diag(width)
     points = np.concatenate([np.zeros((1, d + e)), steps, -steps])
-    y = simulator.noise_free(theta + points[:, :d], points[:, d:])
+    y = simulator.noise_free(theta + points[:, :d], eta + points[:, d:])
     up, down = y[1 : 1 + d + e], y[1 + d + e :]
     return Sensitivity(theta, y[0], (up - down) / (2 * STEP * width)[:, None, None])
 
@@ -74,3 +78,57 @@ def bound_std(F: Float[np.ndarray, "d d"], prior_std: Float[np.ndarray, " d"]) -
     variance = (vectors[:, ~unseen] ** 2 / values[~unseen]).sum(axis=1)
     variance[(vectors[:, unseen] ** 2).sum(axis=1) > 1e-6] = np.inf
     return np.sqrt(variance) * prior_std
+
+
+DAMPING = (0.0, 1e-3, 1e-1, 10.0)
+MOST_STEPS = 30
+SETTLED = 1e-3  # of the cost: a smaller gain ends the search
+
+
+def best_fit(
+    simulator: Simulator, observed: Float[np.ndarray, "channels time"], starts: Float[np.ndarray, "n d"]
+) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, "channels time"]]:
+    """Damped Gauss-Newton on the whitened residual, nuisances held by their spread: (theta, residual) of the best start.
+
+    Each step tries all of DAMPING in one batch and keeps to the prior's box. Raises InputError if no start simulates.
+    """
+    fits = [fit for fit in (_descend(simulator, observed, start) for start in starts) if np.isfinite(fit[0])]
+    if not fits:
+        raise InputError("the simulation fails at every starting point; narrow the prior")
+    _, theta, y = min(fits, key=lambda fit: fit[0])
+    return theta, observed - y
+
+
+def _descend(
+    simulator: Simulator, observed: np.ndarray, start: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """(cost, theta, y) where the descent from one start settles."""
+    space, valid, d = simulator.space, simulator.windows.valid, len(start)
+    eta = np.zeros(len(simulator.nuisances))
+    std = simulator.noise.std(np.where(valid, observed, 0.0))
+
+    def cost_of(y: np.ndarray, eta: np.ndarray) -> float:
+        cost = np.sum(simulator.noise.whiten(observed - y, std, valid) ** 2) + np.sum(eta**2)
+        return float(cost) if np.isfinite(cost) else np.inf
+
+    at = sensitivity(simulator, start, eta)
+    cost = cost_of(at.y, eta)
+    for _ in range(MOST_STEPS):
+        if not np.isfinite(at.jacobian).all():
+            break
+        J = simulator.noise.whiten(at.jacobian, std, valid).reshape(len(at.jacobian), -1)
+        r = simulator.noise.whiten(observed - at.y, std, valid).ravel()
+        F = J @ J.T + np.diag([0.0] * d + [1.0] * len(eta))
+        downhill = J @ r - np.concatenate([np.zeros(d), eta])
+        steps = [np.linalg.lstsq(F + c * np.diag(np.diag(F)), downhill, rcond=1e-10)[0] for c in DAMPING]
+        thetas = np.clip(at.theta + [step[:d] for step in steps], space.low, space.high)
+        etas = eta + np.array([step[d:] for step in steps])
+        costs = [cost_of(y, e) for y, e in zip(simulator.noise_free(thetas, etas), etas, strict=True)]
+        best = int(np.argmin(costs))
+        if not costs[best] < cost:
+            break
+        gained, cost, eta = cost - costs[best], costs[best], etas[best]
+        at = sensitivity(simulator, thetas[best], eta)
+        if gained < SETTLED * max(1.0, cost * SETTLED):
+            break
+    return cost, at.theta, at.y

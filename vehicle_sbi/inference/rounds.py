@@ -8,10 +8,10 @@ done, so an interrupted study that starts again ends where an uninterrupted one 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -31,13 +31,14 @@ from vehicle_sbi.inference.features import Features, Summary
 from vehicle_sbi.inference.prior import box
 from vehicle_sbi.inference.proposal import Support, acceptance, draw, inside, truncated_prior
 from vehicle_sbi.inference.simulator import Simulator, succeeded
-from vehicle_sbi.inference.training import Fit, Simulations, Training, fit
+from vehicle_sbi.inference.training import EpochSeen, Fit, Simulations, Training, fit
 from vehicle_sbi.rng import Stream, generator, seed_torch
 
 CHUNK = 500  # simulations whose series are in memory at once
 PILOT = 1000  # simulations that normalise the features, as in the paper
 FIDUCIAL_DRAWS = 5_000
 LEAST_ACCEPTANCE = 1e-3
+LEAST_SIMULATIONS = 50
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,15 @@ class Problem:
     def builder(self) -> Builder:
         """A builder with a fresh embedding network."""
         return behind(self.features.network(*self.simulator.shape), self.estimator.builder())
+
+    def rng(self, *, round: int) -> np.random.Generator:
+        """The generator of a round's proposals."""
+        return generator(seed=self.simulator.seed, stream=Stream.PROPOSAL, round=round)
+
+    def fit(self, build: Builder, data: Sequence[Simulations], *, round: int, member: int, seen: EpochSeen) -> Fit:
+        """One network trained on the given simulations."""
+        seed = self.simulator.seed
+        return fit(self.prior, build, data, self.training, seed=seed, round=round, member=member, seen=seen)
 
 
 @dataclass(frozen=True)
@@ -97,6 +107,14 @@ class Inference:
         return self.posteriors[-1]
 
 
+@dataclass(frozen=True)
+class Plan:
+    """What a round simulates: its new parameters, and which rows of every round, the new one last, train its network."""
+
+    theta: Float[np.ndarray, "n d"]
+    rows: list[np.ndarray]
+
+
 class Scheme(Protocol):
     """What is configured as `rounds=...`: how many rounds of how many simulations, proposed from where."""
 
@@ -104,26 +122,22 @@ class Scheme(Protocol):
     def rounds(self) -> int: ...
 
     @property
-    def simulations(self) -> int: ...
-
-    def propose(self, problem: Problem, before: Inference, rng: np.random.Generator) -> Float[np.ndarray, "n d"]:
-        """The parameters of the next round."""
+    def fresh(self) -> bool:
+        """Whether each round trains a new network, under the plain likelihood, where failures may be left out."""
         ...
 
-    def training_set(self, theta: Sequence[np.ndarray], before: Inference) -> Sequence[np.ndarray]:
-        """Which simulations of each round the next network is trained on, as masks."""
-        ...
+    def plan(self, problem: Problem, before: Inference) -> Plan: ...
 
-    def train(
-        self, problem: Problem, data: Sequence[Simulations], before: Inference, *, member: int, seen
-    ) -> Fit:
-        """One member's network after this round."""
+    def train(self, problem: Problem, data: Sequence[Simulations], before: Inference, *, member: int, seen) -> Fit:
+        """One member's network after this round, from all rounds' simulations."""
         ...
 
 
 def _check_counts(name: str, rounds: int, simulations: int) -> None:
-    if rounds < 1 or simulations < 50:
-        raise InputError(f"rounds={name}: {rounds} rounds of {simulations} simulations; needs at least 1 round of 50")
+    if rounds < 1 or simulations < LEAST_SIMULATIONS:
+        raise InputError(
+            f"rounds={name}: {rounds} rounds of {simulations} simulations; at least 1 of {LEAST_SIMULATIONS} are needed"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,23 +146,23 @@ class Corrected:
 
     rounds: int = 5
     simulations: int = 5000
+    fresh: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         _check_counts("corrected", self.rounds, self.simulations)
 
-    def propose(self, problem: Problem, before: Inference, rng: np.random.Generator) -> Float[np.ndarray, "n d"]:
-        if not before.rounds:
-            return truncated_prior(problem.simulator.space, (), self.simulations, rng)
-        accepted = before.rounds[-1].acceptance
-        if accepted < LEAST_ACCEPTANCE:
-            raise RuntimeError(
-                f"round {len(before.rounds)}: only {accepted:.2%} of the density lies inside the prior; "
-                "use rounds=truncated, which cannot leak"
+    def plan(self, problem: Problem, before: Inference) -> Plan:
+        k, space = len(before.rounds), problem.simulator.space
+        if k == 0:
+            theta = truncated_prior(space, (), self.simulations, problem.rng(round=0))
+        elif before.rounds[-1].acceptance < LEAST_ACCEPTANCE:
+            raise InputError(
+                f"round {k}: only {before.rounds[-1].acceptance:.2%} of the density lies inside the prior; "
+                "rounds=truncated cannot leak"
             )
-        return draw(before.posterior, self.simulations)
-
-    def training_set(self, theta: Sequence[np.ndarray], before: Inference) -> Sequence[np.ndarray]:
-        return [np.ones(len(rows), dtype=bool) for rows in theta]
+        else:
+            theta = draw(before.posterior, self.simulations)
+        return Plan(theta, [np.arange(len(r.theta)) for r in before.rounds] + [np.arange(len(theta))])
 
     def train(self, problem: Problem, data: Sequence[Simulations], before: Inference, *, member: int, seen) -> Fit:
         build = problem.builder()
@@ -157,7 +171,7 @@ class Corrected:
             if last.x_o.shape == data[0].x[:1].shape:
                 build = _continued(build, last.states[member])
             data = [data[0], *(Simulations(d.theta, d.x, before.posterior) for d in data[1:])]
-        return _fit(problem, build, data, before, member=member, seen=seen)
+        return problem.fit(build, data, round=len(before.rounds), member=member, seen=seen)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,27 +183,21 @@ class Truncated:
 
     rounds: int = 5
     simulations: int = 5000
+    fresh: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check_counts("truncated", self.rounds, self.simulations)
 
-    def propose(self, problem: Problem, before: Inference, rng: np.random.Generator) -> Float[np.ndarray, "n d"]:
-        return truncated_prior(problem.simulator.space, self._supports(before), self.simulations, rng)
-
-    def training_set(self, theta: Sequence[np.ndarray], before: Inference) -> Sequence[np.ndarray]:
-        return [inside(self._supports(before), rows) for rows in theta]
+    def plan(self, problem: Problem, before: Inference) -> Plan:
+        k = len(before.rounds)
+        supports = [Support.of(posterior) for posterior in before.posteriors]
+        theta = truncated_prior(problem.simulator.space, supports, self.simulations, problem.rng(round=k))
+        earlier = [np.flatnonzero(inside(supports, r.theta.numpy())) for r in before.rounds]
+        return Plan(theta, [*earlier, np.arange(len(theta))])
 
     def train(self, problem: Problem, data: Sequence[Simulations], before: Inference, *, member: int, seen) -> Fit:
         everything = Simulations(torch.cat([d.theta for d in data]), torch.cat([d.x for d in data]))
-        return _fit(problem, problem.builder(), [everything], before, member=member, seen=seen)
-
-    def _supports(self, before: Inference) -> list[Support]:
-        """The supports of all posteriors so far; the same ones each time, since each is seeded by its round."""
-        supports = []
-        for k, posterior in enumerate(before.posteriors):
-            seed_torch(seed=before.rounds[k].trained_on, stream=Stream.PROPOSAL, round=k)
-            supports.append(Support.of(posterior))
-        return supports
+        return problem.fit(problem.builder(), [everything], round=len(before.rounds), member=member, seen=seen)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,12 +213,6 @@ class Amortised(Truncated):
             raise InputError(f"rounds=amortised: rounds.rounds = {self.rounds}; an amortised posterior has one round")
 
 
-def _fit(problem: Problem, build: Builder, data: Sequence[Simulations], before: Inference, *, member: int, seen) -> Fit:
-    k = len(before.rounds)
-    seed = problem.simulator.seed
-    return fit(problem.prior, build, data, problem.training, seed=seed, round=k, member=member, seen=seen)
-
-
 def _continued(build: Builder, state: dict[str, Tensor]) -> Builder:
     """A builder whose network starts from given weights."""
 
@@ -222,15 +224,30 @@ def _continued(build: Builder, state: dict[str, Tensor]) -> Builder:
     return build_continued
 
 
-def series(simulator: Simulator, theta: np.ndarray, round: int, rows: np.ndarray, summary: Summary, bar) -> tuple:
-    """Features (rows, ...) and outcomes of some simulations of a round, made a chunk at a time."""
-    x, outcomes = [], []
+def simulate_features(
+    simulator: Simulator, theta: np.ndarray, rows: np.ndarray, *, round: int, summary: Summary, bar: tqdm
+) -> tuple[np.ndarray, np.ndarray]:
+    """Features (rows, ...) of some simulations of a round, and which of them succeeded, made a chunk at a time."""
+    x, good = [], []
     for chunk in np.array_split(rows, max(1, -(-len(rows) // CHUNK))):
-        y, outcome = simulator.simulate(theta[chunk], chunk, stream=Stream.SIMULATION, round=round)
+        y, outcomes = simulator.simulate(theta[chunk], chunk, stream=Stream.SIMULATION, round=round)
         x.append(np.asarray(summary(y), dtype=np.float32))
-        outcomes.append(outcome)
+        good.append(succeeded(outcomes) & np.isfinite(x[-1]).reshape(len(chunk), -1).all(axis=1))
         bar.update(len(chunk))
-    return np.concatenate(x), np.concatenate(outcomes)
+    return np.concatenate(x), np.concatenate(good)
+
+
+def without_failures(theta: np.ndarray, x: np.ndarray, good: np.ndarray, *, drop: bool) -> Simulations:
+    """A round's simulations as tensors, failed ones left out or given features that no success has.
+
+    Leaving them out is exact under the plain likelihood; the corrected loss would lose the probability of success.
+    """
+    if drop:
+        theta, x = theta[good], x[good]
+    elif not good.all():
+        beyond = x[good].max(axis=0) + 3.0 * np.ptp(x[good], axis=0) if good.any() else np.ones(x.shape[1:])
+        x = np.where(good.reshape(-1, *[1] * (x.ndim - 1)), x, beyond).astype(np.float32)
+    return Simulations(torch.as_tensor(theta, dtype=torch.float32), torch.as_tensor(x))
 
 
 def posterior_of(problem: Problem, round: Round) -> NeuralPosterior:
@@ -268,48 +285,30 @@ def fiducial_point(problem: Problem, before: Inference) -> Float[np.ndarray, " d
 def one_round(problem: Problem, scheme: Scheme, before: Inference, *, quiet: bool) -> Round:
     """Propose, simulate, train; a pure function of the rounds before and the seed."""
     simulator, k = problem.simulator, len(before.rounds)
+    name = f"round {k + 1}/{scheme.rounds}"
     seed_torch(seed=simulator.seed, stream=Stream.PROPOSAL, round=k)
     fiducial = fiducial_point(problem, before)
-    new = scheme.propose(problem, before, generator(seed=simulator.seed, stream=Stream.PROPOSAL, round=k))
-    theta = [*(r.theta.numpy() for r in before.rounds), new]
-    rows = [np.flatnonzero(mask) for mask in scheme.training_set(theta, before)]
-    name = f"round {k + 1}/{scheme.rounds}"
-    with tqdm(total=sum(map(len, rows)), desc=f"{name} simulating", unit="sim", disable=quiet, leave=False) as bar:
-        summary = _summary(problem, scheme, theta, k, fiducial)
-        made = [series(simulator, t, j, r, summary, bar) for j, (t, r) in enumerate(zip(theta, rows, strict=True))]
-    good = [succeeded(outcomes) & np.isfinite(x).reshape(len(x), -1).all(axis=1) for x, outcomes in made]
-    data = [
-        Simulations(torch.as_tensor(t[r[g]], dtype=torch.float32), torch.as_tensor(x[g]))
-        for t, r, (x, _), g in zip(theta, rows, made, good, strict=True)
-    ]
-    if sum(len(d.theta) for d in data) < 50:
-        raise InputError(f"{name}: fewer than 50 simulations succeeded; the prior lies where the vehicle spins out")
-    fits = []
-    with tqdm(desc=f"{name} training", unit="epoch", disable=quiet, leave=False) as bar:
-        for member in range(problem.training.members):
+    plan = scheme.plan(problem, before)
+    theta = [*(r.theta.numpy() for r in before.rounds), plan.theta]
+    summary = fit_features(problem, theta, k if scheme.fresh or problem.features.recentred else 0, fiducial)
+    data, failed = [], 0
+    with tqdm(total=sum(map(len, plan.rows)), desc=f"{name} simulating", unit="sim", disable=quiet, leave=False) as bar:
+        for j, rows in enumerate(plan.rows):
+            x, good = simulate_features(simulator, theta[j], rows, round=j, summary=summary, bar=bar)
+            data.append(without_failures(theta[j][rows], x, good, drop=scheme.fresh or j == 0))
+            failed = int((~good).sum())
+    if sum(len(d.theta) for d in data) < LEAST_SIMULATIONS:
+        raise InputError(f"{name}: nearly all simulations fail; the prior lies where the vehicle spins out")
+    with tqdm(desc=f"{name} training", unit=" epochs", disable=quiet, leave=False) as bar:
 
-            def seen(epoch: int, loss: float) -> None:
-                bar.set_postfix(validation_loss=f"{loss:.3f}", refresh=False)
-                bar.update()
+        def seen(epoch: int, loss: float) -> None:
+            bar.set_postfix(validation_loss=f"{loss:.3f}", refresh=False)
+            bar.update()
 
-            fits.append(scheme.train(problem, data, before, member=member, seen=seen))
-    return _finished(problem, new, fiducial, fits, summary, data, failed=int((~good[-1]).sum()))
-
-
-def _summary(problem: Problem, scheme: Scheme, theta: Sequence[np.ndarray], k: int, fiducial: np.ndarray) -> Summary:
-    """The round's features: refitted each round, or fixed from the first where networks go on from round to round."""
-    at = k if problem.features.recentred or not isinstance(scheme, Corrected) else 0
-    rows = np.arange(min(PILOT, len(theta[at])))
-    pilot, outcomes = problem.simulator.simulate(theta[at][rows], rows, stream=Stream.SIMULATION, round=at)
-    return problem.features.fit(problem.simulator, fiducial, pilot[succeeded(outcomes)])
-
-
-def _finished(
-    problem: Problem, theta: np.ndarray, fiducial: np.ndarray, fits: list[Fit], summary: Summary, data, failed: int
-) -> Round:
-    observed = np.where(problem.simulator.windows.valid, problem.observed, 0.0)[None]
-    unsure = Round(
-        theta=torch.as_tensor(theta),
+        fits = [scheme.train(problem, data, before, member=m, seen=seen) for m in range(problem.training.members)]
+    observed = np.where(simulator.windows.valid, problem.observed, 0.0)[None]
+    finished = Round(
+        theta=torch.as_tensor(plan.theta),
         fiducial=torch.as_tensor(fiducial),
         states=[f.estimator.state_dict() for f in fits],
         x_o=torch.as_tensor(np.asarray(summary(observed), dtype=np.float32)),
@@ -319,5 +318,14 @@ def _finished(
         trained_on=sum(len(d.theta) for d in data),
         acceptance=1.0,
     )
-    accepted = acceptance(posterior_of(problem, unsure), problem.simulator.space)
-    return Round(**{**vars(unsure), "acceptance": accepted})
+    return replace(finished, acceptance=acceptance(posterior_of(problem, finished), simulator.space))
+
+
+def fit_features(problem: Problem, theta: Sequence[np.ndarray], round: int, fiducial: np.ndarray) -> Summary:
+    """The features about a fiducial point, normalised by pilot simulations of the given round."""
+    rows = np.arange(min(PILOT, len(theta[round])))
+    pilot, outcomes = problem.simulator.simulate(theta[round][rows], rows, stream=Stream.SIMULATION, round=round)
+    good = succeeded(outcomes)
+    if not good.any():
+        raise InputError("every pilot simulation fails; the prior lies where the vehicle spins out")
+    return problem.features.fit(problem.simulator, fiducial, pilot[good])

@@ -6,15 +6,29 @@ whatever the size of the batch or the number of cores.
 
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise
 from vehicle_sbi.data.recording import Windows
+from vehicle_sbi.errors import InputError
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
 from vehicle_sbi.physics.single_track import DRIVES, FINISHED, simulate_batch
 from vehicle_sbi.rng import Stream, generator
+
+
+
+def use_cores(cores: int | None) -> None:
+    """Let simulations use this many cores; None: all. Raises InputError for a number that this machine does not have."""
+    available = numba.config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccessIssue]
+    if cores is None:
+        return
+    if not isinstance(cores, int) or not 1 <= cores <= available:
+        raise InputError(f"engine.cores = {cores!r}; this machine has 1 to {available}")
+    numba.set_num_threads(cores)
+
 
 STIFFNESSES = ("C_kappa_f", "C_kappa_r", "C_alpha_f", "C_alpha_r")
 

@@ -55,12 +55,11 @@ class NoTracker:
 
 
 class Npe(NPE_C):
-    """NPE-C that calls `seen(epoch, validation_loss)` after every epoch."""
+    """NPE-C with a learning rate that decays; it calls `seen(epoch, validation_loss)` after every epoch."""
 
-    def __init__(self, prior: Distribution, build: Builder, seen: EpochSeen,decay=.3,patience=8) -> None:
-        self._decay,self._patience=decay,patience
+    def __init__(self, prior: Distribution, build: Builder, seen: EpochSeen, decay: "Decay") -> None:
         super().__init__(prior=prior, density_estimator=build, tracker=NoTracker(), show_progress_bars=False)
-        self._seen = seen
+        self._seen, self._decay = seen, decay
 
     def get_dataloaders(self, starting_round=0, training_batch_size=200, validation_fraction=0.1, *args, **kwargs):
         tensors = self.get_simulations(starting_round)
@@ -89,9 +88,19 @@ class Npe(NPE_C):
     def _summarize_epoch(self, train_loss, val_loss, epoch_start_time, summarization_kwargs):
         super()._summarize_epoch(train_loss, val_loss, epoch_start_time, summarization_kwargs)
         if self.epoch == 0:
-            self._schedule = ReduceLROnPlateau(self.optimizer, factor=self._decay, patience=self._patience)
+            self._schedule = ReduceLROnPlateau(
+                self.optimizer, factor=self._decay.factor, patience=self._decay.patience
+            )
         self._schedule.step(val_loss)
         self._seen(self.epoch + 1, float(val_loss))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decay:
+    """The learning rate is multiplied by `factor` after `patience` epochs without a better validation loss."""
+
+    factor: float = 0.3
+    patience: int = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,15 +109,14 @@ class Training:
 
     batch_size: int = 500
     learning_rate: float = 1e-3
-    stop_after_epochs: int = 20
+    stop_after_epochs: int = 15
     max_epochs: int = 400
     validation_fraction: float = 0.1
     clip_max_norm: float = 5.0
     atoms: int = 10
     discard_prior_samples: bool = False
     members: int = 1
-    decay: float=.3
-    patience: int=8
+    decay: Decay = Decay()
 
     def __post_init__(self) -> None:
         if not (self.members >= 1 and self.batch_size >= 2 and self.atoms >= 2 and self.learning_rate > 0):
@@ -148,7 +156,7 @@ def fit(
 ) -> Fit:
     """Train one network on all rounds; plain likelihood if every round came from the prior, else NPE-C's loss."""
     seed_torch(seed=seed, stream=Stream.TRAINING, round=round, index=member)
-    trainer = Npe(prior, build, seen,training.decay,training.patience)
+    trainer = Npe(prior, build, seen, training.decay)
     for simulations in rounds:
         trainer.append_simulations(simulations.theta, simulations.x, proposal=simulations.proposal)
     estimator = trainer.train(

@@ -89,7 +89,7 @@ _DERIVED = (
     "grade_force", "bank_force", "grade_gravity", "bank_gravity",
 )  # fmt: skip
 
-RECORD = np.dtype([(name, np.float64) for name in (*CONSTANTS, *_EFFECT_FIELDS, *_DERIVED)])
+RECORD = np.dtype([(name, np.float64) for name in (*CONSTANTS, "I_z_stated", *_EFFECT_FIELDS, *_DERIVED)])
 
 
 def nominal_record(vehicle: Vehicle) -> np.void:
@@ -98,6 +98,7 @@ def nominal_record(vehicle: Vehicle) -> np.void:
     for name in CONSTANTS:
         value = getattr(vehicle, name)
         record[name] = np.nan if value is None else value
+    record["I_z_stated"] = vehicle.I_z or 0.0
     for parameter in EFFECT_PARAMETERS.values():
         for name in parameter.fields:
             record[name] = parameter.null
@@ -108,12 +109,12 @@ def nominal_record(vehicle: Vehicle) -> np.void:
 def derive(p) -> None:
     """Fill the derived fields of the record.
 
-    I_z = factor m l_f l_r; static loads m g l_r/L and m g l_f/L across a graded or banked road, on which gravity along
+    I_z = factor m l_f l_r unless the vehicle file states it; static loads m g l_r/L and m g l_f/L across a graded or banked road, on which gravity along
     x shifts load as an acceleration does (Rajamani, sec. 4.2); load transfer m h/L [N per m/s^2]; relaxation length
     sigma = C_alpha / K [m] (the paper's sec. II and equation 11).
     """
     p.l_r = p.L - p.l_f
-    p.I_z = yaw_inertia(p, p.m * p.l_f * p.l_r)
+    p.I_z = yaw_inertia(p, p.I_z_stated if p.I_z_stated > 0.0 else p.m * p.l_f * p.l_r)
     p.grip = friction_level(p, p.mu)
     weight = p.m * GRAVITY * math.cos(p.road_grade_angle) * math.cos(p.road_bank_angle)
     p.sigma_f = p.C_alpha_f / p.K

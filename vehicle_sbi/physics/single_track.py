@@ -296,7 +296,7 @@ def fastest_rate(record: np.void, drive: str, v_min: float) -> float:
     """
     p, v = record, max(v_min, 1.0)
     m, l_f, l_r = p["m"], p["l_f"], p["L"] - p["l_f"]
-    I_z = p["yaw_inertia_factor"] * m * l_f * l_r
+    I_z = p["yaw_inertia_factor"] * (p["I_z_stated"] or m * l_f * l_r)
     C_f, C_r = p["C_alpha_f"], p["C_alpha_r"]
     half_trace = 0.5 * ((C_f + C_r) / (m * v) + (l_f**2 * C_f + l_r**2 * C_r) / (I_z * v))
     determinant = p["L"] ** 2 * C_f * C_r / (m * I_z * v**2) + (l_r * C_r - l_f * C_f) / I_z

@@ -3,8 +3,11 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 
-from vehicle_sbi.errors import InputError
+import yaml
+
+from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.parameters import Parameter
 
 GRAVITY = 9.81
@@ -33,6 +36,7 @@ class Vehicle:
     I_wf: float | None = None  # front axle: wheels and what turns with them [kg m^2]
     I_wr: float | None = None  # rear axle: wheels and what turns with them [kg m^2]
     K: float = math.inf  # lateral carcass stiffness of an axle [N/m]; infinite: slips without relaxation
+    I_z: float | None = None  # yaw inertia [kg m^2]; None: m l_f l_r
     steering_ratio: float | None = None  # steering wheel to road wheel [1]
     drive_front: float = 1.0  # share of the drive torque on the front axle [1]
     brake_front: float = 0.6  # share of the brake torque on the front axle [1]
@@ -62,6 +66,25 @@ class Vehicle:
         return tuple(name for name in GENERIC_PRIORS if getattr(self, name) is None)
 
 
+def read(path: str) -> Vehicle:
+    """The vehicle of a YAML file: the constants of `Vehicle` by name. Raises InputError for anything else."""
+    file = Path(path)
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"vehicle file {path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise InputError(f"vehicle file {path}: not YAML; write one constant a line, as in 'm: 1500.0'") from None
+    if not isinstance(content, dict):
+        raise InputError(f"vehicle file {path}: holds no constants; write one a line, as in 'm: 1500.0'")
+    known = [field.name for field in fields(Vehicle)]
+    for name in content:
+        if name not in (*known, "_target_"):
+            raise unknown("constant", str(name), known, f"vehicle file {path}")
+    content.pop("_target_", None)
+    return Vehicle(**{"name": file.stem, **content})
+
+
 def _constant(name: str, unit: str, low: float, high: float) -> Parameter:
     return Parameter(name=name, unit=unit, low=low, high=high, fields=(name,))
 
@@ -85,4 +108,4 @@ GENERIC_PRIORS: Mapping[str, Parameter] = {
     )
 }
 
-CONSTANTS = tuple(field.name for field in fields(Vehicle) if field.name not in ("name", "steering_ratio"))
+CONSTANTS = tuple(field.name for field in fields(Vehicle) if field.name not in ("name", "I_z", "steering_ratio"))

@@ -271,6 +271,7 @@ def _log_file(path: Path) -> logging.Handler:
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     handler.setLevel(logging.INFO)
     logging.getLogger().addHandler(handler)
+    logging.captureWarnings(True)  # libraries' warnings belong in the log, not between a user's progress bars
     logging.getLogger("vehicle_sbi").setLevel(logging.INFO)
     return handler
 

@@ -1,0 +1,27 @@
+"""Parameters of one vehicle, from a recording or from a synthetic manoeuvre: posterior, table, figures, report."""
+
+from _entry import launch, run_folder  # first: it sets the number of threads
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from vehicle_sbi.inference.rounds import infer
+from vehicle_sbi.inference.simulator import use_cores
+from vehicle_sbi.report.results import report, show
+
+
+@launch("config")
+def main(cfg: DictConfig) -> None:
+    study, scheme = instantiate(cfg.study), instantiate(cfg.rounds)
+    use_cores(cfg.engine.cores)
+    prepared = study.prepare()
+    with run_folder(cfg, inputs=prepared.inputs) as folder:
+        if not folder.finished:
+            with folder.stage("rounds"):
+                inference = infer(prepared.problem, scheme, folder.path / "rounds")
+            report(folder, prepared, inference, samples=cfg.samples)
+        show(folder)
+
+
+if __name__ == "__main__":
+    main()

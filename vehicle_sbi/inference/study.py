@@ -1,0 +1,161 @@
+"""A study: from what a user configured to a problem that can be inferred, synthetic or recorded."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from vehicle_sbi.data.manoeuvre import Synthetic
+from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise, MeasurementNoise, ProportionalNoise, from_residual
+from vehicle_sbi.data.readers import RecordingFile
+from vehicle_sbi.data.recording import Recording, Windows
+from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.inference.estimator import DensityEstimator
+from vehicle_sbi.inference.features import Features
+from vehicle_sbi.inference.information import best_fit
+from vehicle_sbi.inference.prior import parameter_space
+from vehicle_sbi.inference.rounds import Problem
+from vehicle_sbi.inference.simulator import Simulator, succeeded
+from vehicle_sbi.inference.training import Training
+from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.physics.effects import nominal_record
+from vehicle_sbi.physics.single_track import DRIVES, substeps_for
+from vehicle_sbi.physics.vehicle import Vehicle
+from vehicle_sbi.rng import Stream, generator
+
+Noise = ProportionalNoise | ConstantNoise | EstimatedNoise
+FIRST_SUBSTEPS = 4  # before the slowest speed is known, which decides their number
+STARTS = 5  # of the fit under which noise is estimated
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """What one run infers: a vehicle's free parameters from a recording, or from a manoeuvre with a drawn truth.
+
+    In a synthetic study `truth` (by name) is observed, or a truth drawn from the prior.
+    """
+
+    vehicle: Vehicle
+    drive: str
+    prior: Mapping[str, Any]
+    effects: Sequence[str]
+    recording: RecordingFile | Synthetic
+    window_s: float
+    warmup_s: float
+    noise: Noise
+    features: Features
+    estimator: DensityEstimator
+    training: Training
+    truth: Mapping[str, float] | None
+    seed: int
+
+    def __post_init__(self) -> None:
+        if self.drive not in DRIVES:
+            raise unknown("drive mode", self.drive, DRIVES, "drive")
+        if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
+            raise InputError(f"seed = {self.seed!r}; it must be a whole number that is not negative")
+        if isinstance(self.recording, RecordingFile) and self.truth is not None:
+            raise InputError("truth: a recording has no stated truth; leave truth=null or recording=synthetic")
+
+    def prepare(self) -> "Prepared":
+        """Load or simulate what is observed, estimate the noise, and put the problem together."""
+        space = parameter_space(self.prior, vehicle=self.vehicle, effects=self.effects)
+        if isinstance(self.recording, Synthetic):
+            return self._synthetic(space, self.recording)
+        return self._recorded(space, self.recording)
+
+    def _synthetic(self, space: ParameterSpace, source: Synthetic) -> "Prepared":
+        if self.drive != "torque":
+            raise InputError(f"drive={self.drive}: a synthetic manoeuvre states torques; it needs drive=torque")
+        simulator = self._simulator(space, source.manoeuvre.windows(self.vehicle), uniform_start=True)
+        truth = self._truth(space)
+        y, outcomes = simulator.simulate(truth[None], np.array([1]), stream=Stream.TRUTH)
+        if not succeeded(outcomes)[0]:
+            raise InputError(f"manoeuvre '{source.manoeuvre.name}': the vehicle spins out with the true parameters")
+        name = f"{self.vehicle.name} in {source.manoeuvre.name}"
+        return Prepared(name, self._problem(simulator, y[0].astype(float)), truth, None)
+
+    def _recorded(self, space: ParameterSpace, source: RecordingFile) -> "Prepared":
+        recording = source.load()
+        windows = recording.windows(
+            drive=self.drive,
+            channels=source.channels,
+            length_s=self.window_s,
+            warmup_s=self.warmup_s,
+            start_s=source.start_s,
+            stop_s=source.stop_s,
+            steering_ratio=self.vehicle.steering_ratio,
+            v_min=source.v_min,
+            wheel_radius=self.vehicle.R_f,
+        )
+        simulator = self._simulator(space, windows, uniform_start=False)
+        observed = np.where(windows.valid, windows.y, 0.0)
+        if isinstance(self.noise, EstimatedNoise) and self.noise.model_residual:
+            simulator = simulator.with_noise(_under_model(simulator, observed, windows))
+        return Prepared(f"{self.vehicle.name} from {recording.name}", self._problem(simulator, observed), None, recording)
+
+    def _problem(self, simulator: Simulator, observed: Float[np.ndarray, "channels time"]) -> Problem:
+        return Problem(simulator, observed, self.features, self.estimator, self.training)
+
+    def _simulator(self, space: ParameterSpace, windows: Windows, *, uniform_start: bool) -> Simulator:
+        simulator = Simulator(
+            nominal=nominal_record(self.vehicle),
+            space=space,
+            drive=self.drive,
+            windows=windows,
+            process=self.noise.process.draw(generator(seed=self.seed, stream=Stream.STUDY)),
+            noise=self.noise.measurement(windows),
+            uniform_start=uniform_start,
+            substeps=FIRST_SUBSTEPS,
+            seed=self.seed,
+        )
+        corners = np.stack([space.low, (space.low + space.high) / 2, space.high])
+        records = space.records(corners, simulator.nominal)
+        return replace(simulator, substeps=substeps_for(records, self.drive, _slowest(simulator), windows.rate))
+
+    def _truth(self, space: ParameterSpace) -> Float[np.ndarray, " d"]:
+        if self.truth is not None:
+            return space.values(self.truth, "truth")
+        return generator(seed=self.seed, stream=Stream.TRUTH).uniform(space.low, space.high)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A problem, the truth where it is known, and the recording where there is one."""
+
+    name: str
+    problem: Problem
+    truth: Float[np.ndarray, " d"] | None
+    recording: Recording | None
+
+    @property
+    def notes(self) -> list[str]:
+        """What was filled, masked or left out on the way from file to windows."""
+        return list(self.problem.simulator.windows.notes)
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """SHA-256 of every file that the study reads."""
+        return {} if self.recording is None else {self.recording.source: self.recording.sha256}
+
+
+def _slowest(simulator: Simulator) -> float:
+    """The lowest speed [m/s] at the prior's centre, which has the fastest modes."""
+    probe = replace(simulator, windows=replace(simulator.windows, channels=("v_x",), groups=("can",)))
+    space = simulator.space
+    speeds = probe.noise_free((space.low + space.high)[None] / 2)
+    return float(np.nanmin(speeds)) if np.isfinite(speeds).any() else 1.0
+
+
+def _under_model(simulator: Simulator, observed: np.ndarray, windows: Windows) -> MeasurementNoise:
+    """Noise estimated from what the best fit of the model leaves over, iterated once from the sensor's own noise."""
+    space = simulator.space
+    rng = generator(seed=simulator.seed, stream=Stream.STUDY, index=1)
+    starts = np.concatenate([(space.low + space.high)[None] / 2, rng.uniform(space.low, space.high, (STARTS - 1, len(space)))])
+    for _ in range(2):
+        theta, residual = best_fit(simulator, observed, starts)
+        simulator = simulator.with_noise(from_residual(residual, windows))
+        starts = theta[None]
+    return simulator.noise

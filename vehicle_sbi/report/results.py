@@ -1,0 +1,159 @@
+"""From finished rounds to everything a user takes away: samples, tables, figures, the page, and the screen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Float
+
+from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.files import write_atomically
+from vehicle_sbi.inference.information import bound_std, fisher
+from vehicle_sbi.inference.predictive import Predictive, predictive
+from vehicle_sbi.inference.proposal import draw
+from vehicle_sbi.inference.rounds import Inference
+from vehicle_sbi.inference.simulator import STIFFNESSES
+from vehicle_sbi.inference.study import Prepared
+from vehicle_sbi.report.figures import contraction_bars, losses, pairplot
+from vehicle_sbi.report.figures import predictive as predictive_figure
+from vehicle_sbi.report.page import write_page
+from vehicle_sbi.report.run_folder import RunFolder
+from vehicle_sbi.report.tables import for_people, html, nominal_table, posterior_table, terminal, write_tables
+from vehicle_sbi.rng import Stream, seed_torch
+
+LEAKING = 0.5  # acceptance below which a round is warned about
+
+
+@dataclass(frozen=True)
+class Results:
+    """What the posterior says: samples, Table II, and how it predicts the recording."""
+
+    samples: Float[np.ndarray, "n d"]
+    table: pd.DataFrame
+    predicted: Predictive
+
+
+def results(prepared: Prepared, inference: Inference, *, samples: int) -> Results:
+    """Draw from the last posterior and hold it against truth, bound and recording."""
+    simulator = prepared.problem.simulator
+    seed_torch(seed=simulator.seed, stream=Stream.POSTERIOR)
+    drawn = draw(inference.posterior, samples)
+    at = drawn.mean(axis=0) if prepared.truth is None else prepared.truth
+    bound = bound_std(fisher(simulator, at), simulator.space.prior_std)
+    table = posterior_table(simulator.space, drawn, true=prepared.truth, bound_std=bound)
+    return Results(drawn, table, predictive(simulator, prepared.problem.observed, drawn))
+
+
+def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, samples: int) -> None:
+    """Write everything into the run folder, mark it complete, and print the table and where things are."""
+    with folder.stage("results"):
+        found = results(prepared, inference, samples=samples)
+        write_samples(folder.path, found.samples, prepared, inference)
+        notes, warnings = round_notes(inference), round_warnings(inference)
+        told = [*notes, *found.predicted.sentences(), *prepared.notes]
+        folder.record(**facts(inference), notes=told, warnings=warnings)
+        write_tables(folder.path, found.table, nominal(prepared), [*warnings, *told])
+    with folder.stage("figures"):
+        figures = write_figures(folder.path / "figures", found, prepared, inference)
+    seconds = ", ".join(f"{stage} {time:.0f} s" for stage, time in folder.manifest["seconds"].items())
+    told.append(f"Time: {seconds}; peak memory {folder.manifest['peak_memory_mb']} MB.")
+    write_page(
+        folder.path / "report.html",
+        title=f"Parameters of {prepared.name}",
+        table_html=html(for_people(found.table)),
+        notes=told,
+        figures=figures,
+        warnings=warnings,
+    )
+    folder.complete()
+
+
+def show(folder: RunFolder) -> None:
+    """Print the table of a finished run, what it says of itself, and the paths of what it wrote."""
+    print(terminal(pd.read_csv(folder.path / "table.csv")))
+    for line in (*folder.manifest["facts"]["warnings"], *folder.manifest["facts"]["notes"]):
+        print(f"  {line}")
+    print(f"\n{folder.path}: table.md, table.csv, table.tex, samples.parquet, posterior.pt, figures/, report.html")
+
+
+def write_samples(path: Path, samples: np.ndarray, prepared: Prepared, inference: Inference) -> None:
+    """samples.parquet with a named column per parameter, and posterior.pt, sbi's posterior at x_o."""
+    frame = pd.DataFrame(samples, columns=list(prepared.problem.simulator.space.names))
+    write_atomically(path / "samples.parquet", frame.to_parquet)
+    write_atomically(path / "posterior.pt", lambda file: torch.save(inference.posterior, file))
+
+
+def nominal(prepared: Prepared) -> pd.DataFrame:
+    """The paper's Table I: nominal values and the process noise on them."""
+    simulator = prepared.problem.simulator
+    percent = 100 * simulator.process.stiffness.std
+    return nominal_table(simulator.space, simulator.nominal, noise_percent=dict.fromkeys(STIFFNESSES, percent))
+
+
+def write_figures(path: Path, found: Results, prepared: Prepared, inference: Inference) -> dict[str, Path]:
+    """All figures of a run, by caption."""
+    simulator, problem = prepared.problem.simulator, prepared.problem
+    windows = simulator.windows
+    measured = np.where(windows.valid, problem.observed, np.nan)
+    pairplot(found.samples, simulator.space, prepared.truth, path / "pairplot.png")
+    units = [CHANNELS[name].unit for name in windows.channels]
+    predictive_figure(
+        windows.t,
+        measured,
+        found.predicted.quantiles,
+        windows.valid,
+        windows.channels,
+        units,
+        path / "predictive.png",
+    )
+    contraction_bars(found.table, path / "contraction.png")
+    losses(history(inference), path / "losses.png")
+    return {
+        "Posterior: densities on the diagonal, pairs below; red is the true value, where it is known.": path / "pairplot.png",
+        "Recording against posterior predictive, with its 90 % band.": path / "predictive.png",
+        "Posterior standard deviation against bound and prior.": path / "contraction.png",
+        "Loss of every round.": path / "losses.png",
+    }
+
+
+def history(inference: Inference) -> list[list[dict[str, list[float]]]]:
+    """Loss curves by round and member, as sbi's summaries name them."""
+    return [
+        [
+            {"training_loss": training, "validation_loss": validation}
+            for training, validation in zip(r.training_loss, r.validation_loss, strict=True)
+        ]
+        for r in inference.rounds
+    ]
+
+
+def facts(inference: Inference) -> dict[str, list]:
+    """Plain numbers of each round for the manifest."""
+    return {
+        "failed_simulations": [r.failed for r in inference.rounds],
+        "acceptance": [round(r.acceptance, 4) for r in inference.rounds],
+        "trained_on": [r.trained_on for r in inference.rounds],
+        "epochs": [[len(loss) for loss in r.training_loss] for r in inference.rounds],
+    }
+
+
+def round_notes(inference: Inference) -> list[str]:
+    """How the rounds went, in sentences."""
+    failed, made = sum(r.failed for r in inference.rounds), sum(len(r.theta) for r in inference.rounds)
+    inside = ", ".join(f"{r.acceptance:.0%}" for r in inference.rounds)
+    return [
+        f"{failed} of {made} simulations spun out or were not finite.",
+        f"Share of the estimated density inside the prior, round by round: {inside}.",
+    ]
+
+
+def round_warnings(inference: Inference) -> Sequence[str]:
+    """What a reader must know before trusting the table."""
+    return [
+        f"Round {k + 1} leaks: only {r.acceptance:.0%} of its density lies inside the prior."
+        for k, r in enumerate(inference.rounds)
+        if r.acceptance < LEAKING
+    ]
