@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.errors import InputError
+from vehicle_sbi.errors import InputError, unknown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,12 @@ class ParameterSpace:
         return records
 
     def values(self, mapping: Mapping[str, float], where: str) -> Float[np.ndarray, " d"]:
-        """theta from a mapping of names; raises InputError for a name that is missing or outside the prior."""
+        """theta from a mapping of names; raises InputError for a name that is missing, unknown or outside the prior."""
+        for name, value in mapping.items():
+            if name not in self._column:
+                raise unknown("parameter", name, self.names, where)
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"{where}: {name} = {value!r}; it must be a number")
         missing = [name for name in self.names if name not in mapping]
         if missing:
             raise InputError(f"{where}: no value for {', '.join(missing)}")

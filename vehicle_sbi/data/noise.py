@@ -16,8 +16,8 @@ from scipy.signal import lfilter, savgol_filter
 from vehicle_sbi.data.recording import Windows
 from vehicle_sbi.errors import InputError, unknown
 
-# Standard deviation over median absolute deviation of a Gaussian, 1 / Phi^-1(3/4).
-GAUSSIAN_MAD = 1.4826
+TINY = 1e-9  # [channel's unit], so that a channel that is fitted perfectly can still be divided by its noise
+LARGEST_RHO = 0.999
 # Window [s] and order of the local polynomial whose residual is taken for sensor noise.
 SMOOTHING_S, SMOOTHING_ORDER = 0.25, 3
 
@@ -141,7 +141,7 @@ class MeasurementNoise:
 def _per_channel(values: Mapping[str, float], channels: tuple[str, ...], where: str) -> np.ndarray:
     """One value a channel, in their order; InputError for one that is missing, unknown or negative."""
     for name, value in values.items():
-        if not value >= 0:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < np.inf:
             raise InputError(f"{where}: {name} = {value!r}; it must be a number that is not negative")
     missing = [name for name in channels if name not in values]
     if missing:
@@ -160,6 +160,8 @@ class ProportionalNoise:
     def measurement(self, windows: Windows) -> MeasurementNoise:
         share = _per_channel(self.share, windows.channels, "noise.share")
         floor = _per_channel(self.floor, windows.channels, "noise.floor")
+        if not floor.all():
+            raise InputError("noise.floor: a floor must be positive; a signal that crosses zero would have no noise there")
         return MeasurementNoise(share, floor, np.zeros(len(share)), windows.t.shape[1])
 
 
@@ -192,27 +194,32 @@ class EstimatedNoise:
         if not np.isfinite(windows.y).any():
             raise InputError("noise=estimated: there is no recording to estimate it from; use noise=paper or constant")
         length = max(SMOOTHING_ORDER + 2, round(SMOOTHING_S * windows.rate)) | 1
-        y = np.where(np.isfinite(windows.y), windows.y, 0.0).reshape(len(windows.channels), -1, windows.t.shape[1])
+        y = _bridged(windows.y).reshape(len(windows.channels), -1, windows.t.shape[1])
         rest = y - savgol_filter(y, min(length, y.shape[-1] - (1 - y.shape[-1] % 2)), SMOOTHING_ORDER, axis=-1)
         # The polynomial takes (order + 1) of every `length` degrees of freedom.
         return from_residual(rest.reshape(windows.y.shape) / np.sqrt(1 - (SMOOTHING_ORDER + 1) / length), windows)
 
 
-def from_residual(residual: Float[np.ndarray, "channels time"], windows: Windows) -> MeasurementNoise:
-    """Noise of a recording from a residual: a robust standard deviation and the lag-one correlation per channel.
+def _bridged(y: Float[np.ndarray, "channels time"]) -> Float[np.ndarray, "channels time"]:
+    """Absent samples bridged linearly: a step to any constant would count as noise around a gap."""
+    t = np.arange(y.shape[1])
+    known = np.isfinite(y)
+    return np.stack([np.interp(t, t[good], row[good]) if good.any() else 0.0 * t for row, good in zip(y, known, strict=True)])
 
-    The standard deviation is the larger of the robust and the plain one over 1.5, so that neither spikes nor a
-    residual that is mostly zero decide it. Raises InputError for a channel without valid samples.
+
+def from_residual(residual: Float[np.ndarray, "channels time"], windows: Windows) -> MeasurementNoise:
+    """Noise of a recording from a residual: root mean square and lag-one correlation of each channel about zero.
+
+    Raises InputError for a channel with fewer than ten valid samples.
     """
     time, floor, rho = windows.t.shape[1], [], []
     for channel, name in enumerate(windows.channels):
         valid = windows.valid[channel]
         if valid.sum() < 10:
             raise InputError(f"noise=estimated: channel {name} has {valid.sum()} valid samples; it needs at least 10")
-        kept = residual[channel, valid]
-        robust = GAUSSIAN_MAD * np.median(np.abs(kept - np.median(kept)))
+        square = float(np.mean(residual[channel, valid] ** 2))
         pairs = np.flatnonzero(valid[:-1] & valid[1:] & (np.arange(1, len(valid)) % time > 0))
-        product = np.mean(residual[channel, pairs] * residual[channel, pairs + 1])
-        floor.append(max(robust, float(kept.std()) / 1.5, 1e-9))
-        rho.append(float(np.clip(product / max(np.mean(kept**2), 1e-18), 0.0, 0.999)))
+        product = float(np.mean(residual[channel, pairs] * residual[channel, pairs + 1]))
+        floor.append(max(np.sqrt(square), TINY))
+        rho.append(float(np.clip(product / max(square, TINY**2), 0.0, LARGEST_RHO)))
     return MeasurementNoise(np.zeros(len(floor)), np.array(floor), np.array(rho), time)

@@ -63,7 +63,7 @@ class Handcrafted:
     recentred: bool = False
 
     def __post_init__(self) -> None:
-        if not self.lags_s or min(self.lags_s) < 0:
+        if not self.lags_s or not all(0 <= lag < np.inf for lag in self.lags_s):
             raise InputError(f"features.lags_s = {list(self.lags_s)}; state at least one lag, none negative [s]")
 
     def statistics(self, y: Series, rate: float) -> Float[np.ndarray, "n k"]:
@@ -82,7 +82,7 @@ class Handcrafted:
         return None
 
 
-def independent_rows(matrix: Float[np.ndarray, "p p"], tolerance: float = 1e-6) -> np.ndarray:
+def independent_rows(matrix: Float[np.ndarray, "p k"], tolerance: float = 1e-6) -> np.ndarray:
     """Indices of rows, first come first kept, that are no linear combination of the rows kept before them."""
     kept: list[int] = []
     basis = np.zeros((0, matrix.shape[1]))
@@ -99,11 +99,13 @@ def independent_rows(matrix: Float[np.ndarray, "p p"], tolerance: float = 1e-6) 
 class Score:
     """Compression by the score of the likelihood at a fiducial point, to one number per parameter that the data see.
 
-    With J the whitened sensitivities by parameters and nuisances a (in units of their spread), r the whitened residual
+    With J the sensitivities by parameters and nuisances a (in units of their spread and of the noise), r the residual
     against the noise-free simulation at the fiducial, and J'J = U diag(l) U', the features are the posterior mean of
     a linear model about the fiducial, a* + U (l + 1)^-1 U' J'r: the score J'r in the parameters' own coordinates
     (Alsing & Wandelt 2018, Generalized massive optimal data compression). Weights are averaged over pilot
-    simulations, which keeps a zero crossing of the fiducial's own series from deciding everything.
+    simulations, which keeps a zero crossing of the fiducial's own series from deciding everything, and take noise as
+    independent: whitening a slow residual would hand the decision to its fastest part, which a model explains worst.
+    What autocorrelation costs in certainty is in the simulations, so the network learns it.
     """
 
     recentred: bool = True
@@ -115,19 +117,19 @@ class Score:
         noise, valid = simulator.noise, simulator.windows.valid
         std = noise.std(np.sqrt(np.mean(np.square(pilot, dtype=float), axis=0)))
         spread = np.concatenate([simulator.space.prior_std, np.ones(len(at.jacobian) - len(fiducial))])
-        white = noise.whiten(at.jacobian * spread[:, None, None], std, valid).reshape(len(spread), -1)
-        values, vectors = np.linalg.eigh(white @ white.T)
+        scaled = np.where(valid, at.jacobian * spread[:, None, None] / std, 0.0).reshape(len(spread), -1)
+        values, vectors = np.linalg.eigh(scaled @ scaled.T)
         seen = values > INFORMATIVE
         if not seen.any():
             raise InputError("features=score: this recording tells nothing about any free parameter")
         mean = vectors[:, seen] / (values[seen] + 1.0) @ vectors[:, seen].T
-        rows = independent_rows(mean)
-        projection = (mean[rows] @ white).astype(np.float32)
+        rows = independent_rows(vectors[:, seen])  # as those of `mean`, which shrink as the data grow precise
+        projection = (mean[rows] @ scaled).astype(np.float32)
         centre = (np.concatenate([fiducial, np.zeros(len(spread) - len(fiducial))]) / spread)[rows]
 
         def compress(y: Series) -> Float[np.ndarray, "n k"]:
-            residual = noise.whiten(y - at.y, std, valid)
-            return centre + residual.reshape(len(y), -1) @ projection.T
+            residual = np.where(valid, (y - at.y) / std, 0.0).astype(np.float32)
+            return centre + residual.reshape(len(y), projection.shape[1]) @ projection.T
 
         return compress
 
@@ -153,10 +155,10 @@ class Embedding:
         mean = pilot.mean(axis=(0, 2), keepdims=True)[0]
         std = pilot.std(axis=(0, 2), keepdims=True)[0] + TINY
 
-        def standardise(y: Series) -> Series:
+        def standardise(y: Series) -> Float[np.ndarray, "n channels kept"]:
             kept = y.shape[-1] // self.decimate * self.decimate
             z = (y[..., :kept] - mean) / std
-            return z.reshape(*z.shape[:-1], -1, self.decimate).mean(axis=-1)
+            return z.reshape(*z.shape[:-1], kept // self.decimate, self.decimate).mean(axis=-1)
 
         return standardise
 

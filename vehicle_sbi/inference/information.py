@@ -15,11 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import least_squares
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.simulator import Simulator
 
 STEP = 1e-3  # of the prior's width or of a nuisance's standard deviation, for central differences
+MOST_STEPS = 30  # of a fit
+FAILED = 1e3  # standard deviations that a failed simulation counts as being off
 NO_INFORMATION = 1e-6  # information per prior variance below which a direction counts as not seen at all
 
 
@@ -80,55 +83,34 @@ def bound_std(F: Float[np.ndarray, "d d"], prior_std: Float[np.ndarray, " d"]) -
     return np.sqrt(variance) * prior_std
 
 
-DAMPING = (0.0, 1e-3, 1e-1, 10.0)
-MOST_STEPS = 30
-SETTLED = 1e-3  # of the cost: a smaller gain ends the search
-
-
 def best_fit(
     simulator: Simulator, observed: Float[np.ndarray, "channels time"], starts: Float[np.ndarray, "n d"]
 ) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, "channels time"]]:
-    """Damped Gauss-Newton on the whitened residual, nuisances held by their spread: (theta, residual) of the best start.
+    """Weighted least squares inside the prior's box: (theta, residual) of the best start.
 
-    Each step tries all of DAMPING in one batch and keeps to the prior's box. Raises InputError if no start simulates.
+    Weights take noise as independent, for the reason that the score's do. Nuisances are fitted too, held by their spread; theta is scaled to the box. Raises InputError if no start simulates.
     """
-    fits = [fit for fit in (_descend(simulator, observed, start) for start in starts) if np.isfinite(fit[0])]
-    if not fits:
-        raise InputError("the simulation fails at every starting point; narrow the prior")
-    _, theta, y = min(fits, key=lambda fit: fit[0])
-    return theta, observed - y
-
-
-def _descend(
-    simulator: Simulator, observed: np.ndarray, start: np.ndarray
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """(cost, theta, y) where the descent from one start settles."""
-    space, valid, d = simulator.space, simulator.windows.valid, len(start)
-    eta = np.zeros(len(simulator.nuisances))
+    space, valid, d = simulator.space, simulator.windows.valid, len(simulator.space)
+    width, e = space.high - space.low, len(simulator.nuisances)
     std = simulator.noise.std(np.where(valid, observed, 0.0))
 
-    def cost_of(y: np.ndarray, eta: np.ndarray) -> float:
-        cost = np.sum(simulator.noise.whiten(observed - y, std, valid) ** 2) + np.sum(eta**2)
-        return float(cost) if np.isfinite(cost) else np.inf
+    def residual(z: np.ndarray) -> np.ndarray:
+        y = simulator.noise_free((space.low + z[:d] * width)[None], z[None, d:])[0]
+        off = np.where(np.isfinite(y), (observed - y) / std, FAILED)
+        return np.concatenate([off[valid], z[d:]])
 
-    at = sensitivity(simulator, start, eta)
-    cost = cost_of(at.y, eta)
-    for _ in range(MOST_STEPS):
-        if not np.isfinite(at.jacobian).all():
-            break
-        J = simulator.noise.whiten(at.jacobian, std, valid).reshape(len(at.jacobian), -1)
-        r = simulator.noise.whiten(observed - at.y, std, valid).ravel()
-        F = J @ J.T + np.diag([0.0] * d + [1.0] * len(eta))
-        downhill = J @ r - np.concatenate([np.zeros(d), eta])
-        steps = [np.linalg.lstsq(F + c * np.diag(np.diag(F)), downhill, rcond=1e-10)[0] for c in DAMPING]
-        thetas = np.clip(at.theta + [step[:d] for step in steps], space.low, space.high)
-        etas = eta + np.array([step[d:] for step in steps])
-        costs = [cost_of(y, e) for y, e in zip(simulator.noise_free(thetas, etas), etas, strict=True)]
-        best = int(np.argmin(costs))
-        if not costs[best] < cost:
-            break
-        gained, cost, eta = cost - costs[best], costs[best], etas[best]
-        at = sensitivity(simulator, thetas[best], eta)
-        if gained < SETTLED * max(1.0, cost * SETTLED):
-            break
-    return cost, at.theta, at.y
+    def jacobian(z: np.ndarray) -> np.ndarray:
+        J = sensitivity(simulator, space.low + z[:d] * width, z[d:]).jacobian
+        scaled = (np.nan_to_num(J) / std)[:, valid]
+        scaled[:d] *= width[:, None]
+        return np.concatenate([-scaled.T, np.eye(d + e)[d:]])
+
+    bounds = (np.concatenate([np.zeros(d), np.full(e, -np.inf)]), np.concatenate([np.ones(d), np.full(e, np.inf)]))
+    begin = [np.concatenate([np.clip((s - space.low) / width, 1e-3, 1 - 1e-3), np.zeros(e)]) for s in starts]
+    fits = [least_squares(residual, z, jac=jacobian, bounds=bounds, max_nfev=MOST_STEPS, ftol=1e-5) for z in begin]
+    best = min(fits, key=lambda fit: fit.cost).x
+    theta = space.low + best[:d] * width
+    y = simulator.noise_free(theta[None], best[None, d:])[0]
+    if not np.isfinite(y).all():
+        raise InputError("the simulation fails wherever a fit was tried; narrow the prior")
+    return theta, observed - y

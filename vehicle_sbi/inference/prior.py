@@ -73,7 +73,7 @@ def parameter_space(prior: Mapping[str, Any], *, vehicle: Vehicle, effects: Sequ
         if name not in CATALOGUE:
             raise unknown("effect", name, CATALOGUE, "effects")
         free |= {p.name: p for p in CATALOGUE[name].parameters if p.name not in free}
-    set_by_prior = {name for p in free.values() if not p.relative for name in p.fields}
+    set_by_prior = {name for p in free.values() for name in p.fields}
     free |= {name: GENERIC_PRIORS[name] for name in vehicle.missing if name not in set_by_prior}
     if not free:
         raise InputError("prior: no parameter is free; state at least one as name: [low, high]")
@@ -84,7 +84,10 @@ def parameter_space(prior: Mapping[str, Any], *, vehicle: Vehicle, effects: Sequ
 
 def _check_physical(space: ParameterSpace, vehicle: Vehicle) -> None:
     """Refuse a box that reaches to negative constants or puts the centre of gravity behind the rear axle."""
-    wheelbase = vehicle.L if vehicle.L is not None else GENERIC_PRIORS["L"].low
+    free = {p.name: p for p in space.parameters}
+    wheelbase, l_f = (free["L"].low if "L" in free else vehicle.L), (free["l_f"].high if "l_f" in free else vehicle.l_f)
+    if wheelbase is not None and l_f is not None and l_f >= wheelbase:
+        raise InputError(f"prior: l_f up to {l_f:g} m reaches past the wheelbase {wheelbase:g} m")
     for p in space.parameters:
         for name in p.fields:
             if name not in GENERIC_PRIORS:
@@ -92,11 +95,9 @@ def _check_physical(space: ParameterSpace, vehicle: Vehicle) -> None:
             nominal = getattr(vehicle, name) if p.relative else 0.0
             if nominal is None:
                 raise InputError(f"prior: {p.name} is an offset, but vehicle '{vehicle.name}' states no {name}")
-            lowest, highest = nominal + p.scale * p.low, nominal + p.scale * p.high
+            lowest = nominal + p.scale * p.low
             if lowest <= 0:
                 raise InputError(f"prior: {p.name} = [{p.low:g}, {p.high:g}] reaches {name} = {lowest:g}; it must be positive")
-            if name == "l_f" and highest >= wheelbase:
-                raise InputError(f"prior: l_f up to {highest:g} m reaches past the wheelbase {wheelbase:g} m")
 
 
 def box(space: ParameterSpace) -> BoxUniform:

@@ -7,7 +7,6 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from sbi.inference.posteriors.base_posterior import NeuralPosterior
-from torch import Tensor
 
 from vehicle_sbi.parameters import ParameterSpace
 
@@ -16,17 +15,47 @@ EXCLUDED_MASS = 1e-3  # share of a posterior's mass that truncation cuts off
 MARGIN = 0.05  # of the sampled range, by which the bounding box is widened
 CANDIDATES = 20_000
 MOST_CANDIDATES = 50_000_000
+MOST_REJECTIONS = 50  # batches of draws before resampling takes over
+RESAMPLED_FROM = 200_000  # uniform draws of the prior
 
 
-def draw(posterior: NeuralPosterior, n: int) -> Float[np.ndarray, "n d"]:
-    """Samples of a posterior inside its prior, in random order even where an ensemble returns them by member."""
-    samples = posterior.sample((n,), show_progress_bars=False).detach()
-    return samples[torch.randperm(len(samples))].double().numpy()
+def _members(posterior: NeuralPosterior) -> Sequence[NeuralPosterior]:
+    return getattr(posterior, "posteriors", [posterior])
+
+
+def _raw(posterior: NeuralPosterior, n: int) -> Float[np.ndarray, "n d"]:
+    """n draws of the density itself, inside the prior or not, members of an ensemble mixed."""
+    members = _members(posterior)
+    counts = np.bincount(torch.randint(len(members), (n,)).numpy(), minlength=len(members))
+    with torch.no_grad():
+        drawn = [m.posterior_estimator.sample((int(c),), m.default_x)[:, 0] for m, c in zip(members, counts, strict=True) if c]  # pyright: ignore
+    theta = torch.cat(drawn)
+    return theta[torch.randperm(n)].double().numpy()
+
+
+def _within(space: ParameterSpace, theta: Float[np.ndarray, "n d"]) -> np.ndarray:
+    return ((theta >= space.low) & (theta <= space.high)).all(axis=1)
+
+
+def draw(posterior: NeuralPosterior, space: ParameterSpace, n: int) -> Float[np.ndarray, "n d"]:
+    """n draws inside the prior: by rejection where that ends soon, else by importance resampling from the box.
+
+    sbi's own rejection sampling has no bound on its time where nearly all of a density lies outside the prior.
+    """
+    found: list[np.ndarray] = []
+    for _ in range(MOST_REJECTIONS):
+        theta = _raw(posterior, n)
+        found.append(theta[_within(space, theta)])
+        if sum(map(len, found)) >= n:
+            return np.concatenate(found)[:n]
+    candidates = space.low + torch.rand(RESAMPLED_FROM, len(space)).double().numpy() * (space.high - space.low)
+    weight = torch.as_tensor(log_density(posterior, candidates)).softmax(dim=0)
+    return candidates[torch.multinomial(weight, n, replacement=True).numpy()]
 
 
 def log_density(posterior: NeuralPosterior, theta: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
     """log q(theta | x_o), up to the constant that leakage costs."""
-    members: Sequence[NeuralPosterior] = getattr(posterior, "posteriors", [posterior])
+    members = _members(posterior)
     at = torch.as_tensor(theta, dtype=torch.float32)
     with torch.no_grad():
         each = torch.stack([member.log_prob(at, norm_posterior=False) for member in members])
@@ -49,8 +78,8 @@ class Support:
     high: Float[np.ndarray, " d"]
 
     @classmethod
-    def of(cls, posterior: NeuralPosterior) -> "Support":
-        samples = draw(posterior, SUPPORT_SAMPLES)
+    def of(cls, posterior: NeuralPosterior, space: ParameterSpace) -> "Support":
+        samples = draw(posterior, space, SUPPORT_SAMPLES)
         density = log_density(posterior, samples)
         threshold = float(np.quantile(density, EXCLUDED_MASS))
         kept = samples[density > threshold]
@@ -88,7 +117,7 @@ def truncated_prior(
     tried = 0
     while sum(map(len, found)) < n:
         theta = supports[-1].candidates(rng)
-        theta = theta[((theta >= space.low) & (theta <= space.high)).all(axis=1)]
+        theta = theta[_within(space, theta)]
         found.append(theta[inside(supports[::-1], theta)])
         tried += CANDIDATES
         if tried > MOST_CANDIDATES:
@@ -96,14 +125,6 @@ def truncated_prior(
     return np.concatenate(found)[:n]
 
 
-def acceptance(posterior: NeuralPosterior, space: ParameterSpace, n: int = SUPPORT_SAMPLES) -> float:
-    """Share of the raw density's draws that lie inside the prior; what is missing from 1 is leakage."""
-    members: Sequence[NeuralPosterior] = getattr(posterior, "posteriors", [posterior])
-    draws = [_raw(member, n // len(members)) for member in members]
-    theta = torch.cat(draws).double().numpy()
-    return float(((theta >= space.low) & (theta <= space.high)).all(axis=1).mean())
-
-
-def _raw(member: NeuralPosterior, n: int) -> Tensor:
-    with torch.no_grad():
-        return member.posterior_estimator.sample((n,), member.default_x)[:, 0]  # pyright: ignore[reportAttributeAccessIssue]
+def acceptance(posterior: NeuralPosterior, space: ParameterSpace) -> float:
+    """Share of the density's own draws that lie inside the prior; what is missing from 1 is leakage."""
+    return float(_within(space, _raw(posterior, SUPPORT_SAMPLES)).mean())

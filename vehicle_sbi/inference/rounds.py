@@ -39,11 +39,12 @@ PILOT = 1000  # simulations that normalise the features, as in the paper
 FIDUCIAL_DRAWS = 5_000
 LEAST_ACCEPTANCE = 1e-3
 LEAST_SIMULATIONS = 50
+QUANTILE_ROWS = 2_000  # simulations that tell a feature's range
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is to be inferred: a simulator, what was observed, and how series become features and densities."""
+    """What is to be inferred: a simulator, what was observed (zero where masked), and how series become densities."""
 
     simulator: Simulator
     observed: Float[np.ndarray, "channels time"]
@@ -83,6 +84,7 @@ class Round:
     failed: int
     trained_on: int
     acceptance: float
+    surprise: float
 
     def save(self, path: Path) -> None:
         write_atomically(path, lambda file: torch.save(vars(self), file))
@@ -161,7 +163,7 @@ class Corrected:
                 "rounds=truncated cannot leak"
             )
         else:
-            theta = draw(before.posterior, self.simulations)
+            theta = draw(before.posterior, space, self.simulations)
         return Plan(theta, [np.arange(len(r.theta)) for r in before.rounds] + [np.arange(len(theta))])
 
     def train(self, problem: Problem, data: Sequence[Simulations], before: Inference, *, member: int, seen) -> Fit:
@@ -190,7 +192,7 @@ class Truncated:
 
     def plan(self, problem: Problem, before: Inference) -> Plan:
         k = len(before.rounds)
-        supports = [Support.of(posterior) for posterior in before.posteriors]
+        supports = [Support.of(posterior, problem.simulator.space) for posterior in before.posteriors]
         theta = truncated_prior(problem.simulator.space, supports, self.simulations, problem.rng(round=k))
         earlier = [np.flatnonzero(inside(supports, r.theta.numpy())) for r in before.rounds]
         return Plan(theta, [*earlier, np.arange(len(theta))])
@@ -279,7 +281,7 @@ def fiducial_point(problem: Problem, before: Inference) -> Float[np.ndarray, " d
     space = problem.simulator.space
     if not before.rounds:
         return (space.low + space.high) / 2
-    return draw(before.posterior, FIDUCIAL_DRAWS).mean(axis=0)
+    return draw(before.posterior, space, FIDUCIAL_DRAWS).mean(axis=0)
 
 
 def one_round(problem: Problem, scheme: Scheme, before: Inference, *, quiet: bool) -> Round:
@@ -294,6 +296,8 @@ def one_round(problem: Problem, scheme: Scheme, before: Inference, *, quiet: boo
     data, failed = [], 0
     with tqdm(total=sum(map(len, plan.rows)), desc=f"{name} simulating", unit="sim", disable=quiet, leave=False) as bar:
         for j, rows in enumerate(plan.rows):
+            if not len(rows):  # an early round has none inside a narrow support
+                continue
             x, good = simulate_features(simulator, theta[j], rows, round=j, summary=summary, bar=bar)
             data.append(without_failures(theta[j][rows], x, good, drop=scheme.fresh or j == 0))
             failed = int((~good).sum())
@@ -306,19 +310,32 @@ def one_round(problem: Problem, scheme: Scheme, before: Inference, *, quiet: boo
             bar.update()
 
         fits = [scheme.train(problem, data, before, member=m, seen=seen) for m in range(problem.training.members)]
-    observed = np.where(simulator.windows.valid, problem.observed, 0.0)[None]
+    x_o = torch.as_tensor(np.asarray(summary(problem.observed[None]), dtype=np.float32))
     finished = Round(
         theta=torch.as_tensor(plan.theta),
         fiducial=torch.as_tensor(fiducial),
         states=[f.estimator.state_dict() for f in fits],
-        x_o=torch.as_tensor(np.asarray(summary(observed), dtype=np.float32)),
+        x_o=x_o,
         training_loss=[f.training_loss for f in fits],
         validation_loss=[f.validation_loss for f in fits],
         failed=failed,
         trained_on=sum(len(d.theta) for d in data),
         acceptance=1.0,
+        surprise=surprise(torch.cat([d.x for d in data]), x_o),
     )
     return replace(finished, acceptance=acceptance(posterior_of(problem, finished), simulator.space))
+
+
+def surprise(x: Tensor, x_o: Tensor) -> float:
+    """How far x_o lies outside what was simulated: its largest distance beyond the middle 98 % of a feature.
+
+    In units of that range's half width: below 1 inside it, well above 1 where the network has to extrapolate, because
+    the model can hardly produce what was recorded.
+    """
+    flat, at = x.reshape(len(x), -1), x_o.reshape(-1)
+    low, high = torch.quantile(flat[:QUANTILE_ROWS], torch.tensor([0.01, 0.99]), dim=0)
+    half = (high - low).clamp_min(1e-12) / 2
+    return float(((at - (low + high) / 2).abs() / half).max())
 
 
 def fit_features(problem: Problem, theta: Sequence[np.ndarray], round: int, fiducial: np.ndarray) -> Summary:

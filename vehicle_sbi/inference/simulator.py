@@ -127,6 +127,8 @@ class Simulator:
         self, theta: Float[np.ndarray, "n d"], index: np.ndarray, *, stream: Stream, round: int = 0
     ) -> tuple[Float[np.ndarray, "n channels time"], np.ndarray]:
         """Noisy measurements, zero where a sample is masked, and outcomes; row i has the address index[i]."""
+        if not len(index):
+            return np.zeros((0, *self.shape), np.float32), np.zeros(0, np.int64)
         rngs = [generator(seed=self.seed, stream=stream, round=round, index=int(i)) for i in index]
         single = [self._random(rng) for rng in rngs]
         draws = Draws(*(np.concatenate([getattr(d, f) for d in single]) for f in ("stiffness", "inputs", "initial")))

@@ -27,7 +27,8 @@ from vehicle_sbi.rng import Stream, generator
 
 Noise = ProportionalNoise | ConstantNoise | EstimatedNoise
 FIRST_SUBSTEPS = 4  # before the slowest speed is known, which decides their number
-STARTS = 5  # of the fit under which noise is estimated
+STARTS = 3  # of the fit under which noise is estimated
+NOISE_ROUNDS = 8  # of fit and estimate at most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,12 +151,16 @@ def _slowest(simulator: Simulator) -> float:
 
 
 def _under_model(simulator: Simulator, observed: np.ndarray, windows: Windows) -> MeasurementNoise:
-    """Noise estimated from what the best fit of the model leaves over, iterated once from the sensor's own noise."""
+    """Noise estimated from what the best fit of the model leaves over, until noise and fit agree with each other."""
     space = simulator.space
     rng = generator(seed=simulator.seed, stream=Stream.STUDY, index=1)
-    starts = np.concatenate([(space.low + space.high)[None] / 2, rng.uniform(space.low, space.high, (STARTS - 1, len(space)))])
-    for _ in range(2):
+    corners = rng.uniform(space.low, space.high, (STARTS - 1, len(space)))
+    starts = np.concatenate([(space.low + space.high)[None] / 2, corners])
+    for _ in range(NOISE_ROUNDS):
+        before = simulator.noise
         theta, residual = best_fit(simulator, observed, starts)
         simulator = simulator.with_noise(from_residual(residual, windows))
         starts = theta[None]
+        if np.allclose(simulator.noise.floor, before.floor, rtol=0.02):
+            break
     return simulator.noise

@@ -94,6 +94,9 @@ class Npe(NPE_C):
         self._schedule.step(val_loss)
         self._seen(self.epoch + 1, float(val_loss))
 
+    def _report_convergence_at_end(self, epoch: int, max_num_epochs: int) -> None:
+        """Nothing: the run folder keeps the number of epochs."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Decay:
@@ -101,6 +104,12 @@ class Decay:
 
     factor: float = 0.3
     patience: int = 5
+
+    def __post_init__(self) -> None:
+        if not (0 < self.factor < 1 and self.patience >= 0):
+            raise InputError(
+                f"training.decay: factor {self.factor:g} must lie between 0 and 1, patience {self.patience} not be negative"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +119,7 @@ class Training:
     batch_size: int = 500
     learning_rate: float = 1e-3
     stop_after_epochs: int = 15
-    max_epochs: int = 400
+    max_epochs: int = 120
     validation_fraction: float = 0.1
     clip_max_norm: float = 5.0
     atoms: int = 10
@@ -121,6 +130,8 @@ class Training:
     def __post_init__(self) -> None:
         if not (self.members >= 1 and self.batch_size >= 2 and self.atoms >= 2 and self.learning_rate > 0):
             raise InputError("training: members must be at least 1, batch_size and atoms at least 2, learning_rate positive")
+        if not (self.max_epochs >= 1 and self.stop_after_epochs >= 1 and self.clip_max_norm > 0):
+            raise InputError("training: max_epochs and stop_after_epochs must be at least 1, clip_max_norm positive")
         if not 0 < self.validation_fraction < 1:
             raise InputError(f"training.validation_fraction = {self.validation_fraction:g}; it must lie between 0 and 1")
 

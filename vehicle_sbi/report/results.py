@@ -1,6 +1,5 @@
 """From finished rounds to everything a user takes away: samples, tables, figures, the page, and the screen."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +23,9 @@ from vehicle_sbi.report.run_folder import RunFolder
 from vehicle_sbi.report.tables import for_people, html, nominal_table, posterior_table, terminal, write_tables
 from vehicle_sbi.rng import Stream, seed_torch
 
-LEAKING = 0.5  # acceptance below which a round is warned about
+LEAKING = 0.5  # acceptance below which the last round is warned about
+EXTRAPOLATED = 1.5  # surprise from which the recording counts as unlike the simulations
+EDGE = 0.05  # of the prior's width, within which a median counts as lying on its edge
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def results(prepared: Prepared, inference: Inference, *, samples: int) -> Result
     """Draw from the last posterior and hold it against truth, bound and recording."""
     simulator = prepared.problem.simulator
     seed_torch(seed=simulator.seed, stream=Stream.POSTERIOR)
-    drawn = draw(inference.posterior, samples)
+    drawn = draw(inference.posterior, simulator.space, samples)
     at = drawn.mean(axis=0) if prepared.truth is None else prepared.truth
     bound = bound_std(fisher(simulator, at), simulator.space.prior_std)
     table = posterior_table(simulator.space, drawn, true=prepared.truth, bound_std=bound)
@@ -52,7 +53,7 @@ def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, sampl
     with folder.stage("results"):
         found = results(prepared, inference, samples=samples)
         write_samples(folder.path, found.samples, prepared, inference)
-        notes, warnings = round_notes(inference), round_warnings(inference)
+        notes, warnings = round_notes(inference), round_warnings(inference, found.table)
         told = [*notes, *found.predicted.sentences(), *prepared.notes]
         folder.record(**facts(inference), notes=told, warnings=warnings)
         write_tables(folder.path, found.table, nominal(prepared), [*warnings, *told])
@@ -135,6 +136,7 @@ def facts(inference: Inference) -> dict[str, list]:
     return {
         "failed_simulations": [r.failed for r in inference.rounds],
         "acceptance": [round(r.acceptance, 4) for r in inference.rounds],
+        "surprise": [round(r.surprise, 3) for r in inference.rounds],
         "trained_on": [r.trained_on for r in inference.rounds],
         "epochs": [[len(loss) for loss in r.training_loss] for r in inference.rounds],
     }
@@ -150,10 +152,22 @@ def round_notes(inference: Inference) -> list[str]:
     ]
 
 
-def round_warnings(inference: Inference) -> Sequence[str]:
-    """What a reader must know before trusting the table."""
-    return [
-        f"Round {k + 1} leaks: only {r.acceptance:.0%} of its density lies inside the prior."
-        for k, r in enumerate(inference.rounds)
-        if r.acceptance < LEAKING
-    ]
+def round_warnings(inference: Inference, table: pd.DataFrame) -> list[str]:
+    """What a reader must know before trusting the table: leakage, a recording unlike any simulation, prior edges."""
+    last, warnings = inference.rounds[-1], []
+    if last.acceptance < LEAKING:
+        warnings.append(f"The last round leaks: only {last.acceptance:.0%} of its density lies inside the prior.")
+    if last.surprise > EXTRAPOLATED:
+        warnings.append(
+            f"The recording lies outside what the last round simulated ({last.surprise:.1f} times the half width of a "
+            "feature's range): the network extrapolates, and the model lacks something that the recording shows."
+        )
+    for row in table.itertuples():
+        width = row.prior_high - row.prior_low
+        at_edge = min(row.q50 - row.prior_low, row.prior_high - row.q50) < EDGE * width
+        if row.identified and at_edge:
+            warnings.append(
+                f"{row.parameter} lies on the edge of its prior: widen the prior, or look for physics that the model "
+                "lacks and this parameter makes up for."
+            )
+    return warnings

@@ -1,0 +1,71 @@
+"""The paper's Table II on ten seeds and both amplitudes, each posterior beside its Cramer-Rao bound.
+
+    make bench            about half an hour on two cores; started again, it goes on where it was
+
+Runs `experiment=paper_table` as a user would, then gathers the run folders into results/paper_table.csv (a row per
+run and parameter) and results/paper_table.md (means over seeds, with how often the 90 % interval held the truth).
+"""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+from datetime import date
+from pathlib import Path
+
+import pandas as pd
+
+ROOT = Path(__file__).resolve().parent.parent
+RUNS = ROOT / "outputs" / "paper_table"
+RESULTS = ROOT / "benchmarks" / "results"
+KEPT = ["parameter", "true", "mean", "std", "q05", "q95", "bound_std", "identified"]
+
+
+def rows(run: Path) -> pd.DataFrame:
+    """One run's table with what tells the runs apart."""
+    manifest = json.loads((run / "manifest.json").read_text())
+    table = pd.read_csv(run / "table.csv")[KEPT]
+    table.insert(0, "seed", manifest["seed"])
+    table.insert(0, "manoeuvre", manifest["choices"]["manoeuvre"])
+    table.insert(0, "experiment", "paper_table")
+    return table
+
+
+def summary(table: pd.DataFrame) -> pd.DataFrame:
+    """Means over seeds, per manoeuvre and parameter."""
+    table = table.assign(
+        ratio=table["std"] / table["bound_std"],
+        held=(table["q05"] <= table["true"]) & (table["true"] <= table["q95"]),
+    )
+    by = table.groupby(["manoeuvre", "parameter"], sort=False)
+    return by.agg(
+        true=("true", "first"),
+        mean=("mean", "mean"),
+        std=("std", "mean"),
+        bound=("bound_std", "mean"),
+        std_over_bound=("ratio", "mean"),
+        held_in_90=("held", "sum"),
+        identified=("identified", "sum"),
+        seeds=("held", "size"),
+    ).reset_index()
+
+
+def main() -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "run.py"), "experiment=paper_table", *sys.argv[1:]]
+    subprocess.run(command, cwd=ROOT, check=True)
+    finished = [run for run in sorted(RUNS.iterdir()) if (run / "table.csv").exists()]
+    table = pd.concat([rows(run) for run in finished]).sort_values(["manoeuvre", "seed"], kind="stable")
+    seconds = [sum(json.loads((run / "manifest.json").read_text())["seconds"].values()) for run in finished]
+    memory = max(json.loads((run / "manifest.json").read_text())["peak_memory_mb"] for run in finished)
+    RESULTS.mkdir(exist_ok=True)
+    table.to_csv(RESULTS / "paper_table.csv", index=False)
+    text = summary(table).to_markdown(index=False, floatfmt=".3g")
+    where = f"{date.today()}, {platform.platform()}, {os.cpu_count()} cores, two runs at a time"
+    times = f"seconds a run: median {pd.Series(seconds).median():.0f}, longest {max(seconds):.0f}; peak memory {memory} MB"
+    (RESULTS / "paper_table.md").write_text(f"{text}\n\n{where}; {times}.\n")
+    print(text, f"\n{times}")
+
+
+if __name__ == "__main__":
+    main()
