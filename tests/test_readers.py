@@ -322,7 +322,7 @@ CONFIGURED = {
 
 @pytest.mark.parametrize("name", CONFIGURED)
 def test_configured_recordings_load_and_turn_left_when_steered_left(name):
-    config = OmegaConf.load(ROOT / "conf/recording" / f"{name}.yaml")
+    config = OmegaConf.load(ROOT / "conf/recording" / f"{name}.yaml").recording
     OmegaConf.update(config, "path", str(config.path).replace("../shared/recordings", str(RECORDINGS)))
     for other in config.also if "also" in config else []:
         other.path = str(other.path).replace("../shared/recordings", str(RECORDINGS))

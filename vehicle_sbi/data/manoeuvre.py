@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.data.recording import CHANNELS, Windows
-from vehicle_sbi.errors import InputError
+from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.physics.sensors import MEASUREMENTS
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 
@@ -32,7 +33,17 @@ class Manoeuvre:
     channels: tuple[str, ...] = ("a_x", "a_y", "yaw_rate", "wheel_speed_front", "wheel_speed_rear")
 
     def __post_init__(self) -> None:
-        if self.duration <= 0 or self.rate <= 0 or self.duration * self.rate < 2:
+        for name in self.channels:
+            if name not in MEASUREMENTS:
+                raise unknown("channel", name, MEASUREMENTS, f"manoeuvre '{self.name}'")
+        if not self.channels:
+            raise InputError(f"manoeuvre '{self.name}': no channel is measured")
+        if not (self.steering_period > 0 and self.torque_period > 0):
+            raise InputError(
+                f"manoeuvre '{self.name}': steering_period {self.steering_period:g} s and torque_period "
+                f"{self.torque_period:g} s must be positive"
+            )
+        if not (self.duration > 0 and self.rate > 0 and 2 <= self.duration * self.rate < np.inf):
             raise InputError(f"manoeuvre '{self.name}': {self.duration:g} s at {self.rate:g} Hz hold no two samples")
         if not 1.0 <= self.v_x_low <= self.v_x_high:
             raise InputError(

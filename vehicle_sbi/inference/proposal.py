@@ -3,18 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import emcee
 import numpy as np
 import torch
 from jaxtyping import Float
 from sbi.inference.posteriors.base_posterior import NeuralPosterior
 
+from vehicle_sbi.errors import InputError
 from vehicle_sbi.parameters import ParameterSpace
 
 SUPPORT_SAMPLES = 10_000  # draws that estimate where a posterior has mass
 EXCLUDED_MASS = 1e-3  # share of a posterior's mass that truncation cuts off
-MARGIN = 0.05  # of the sampled range, by which the bounding box is widened
-CANDIDATES = 20_000
-MOST_CANDIDATES = 50_000_000
+WALKERS, WARM_UP, THINNING = 500, 100, 20  # of the ensemble; an autocorrelation time is about 25 steps in six dimensions
 MOST_REJECTIONS = 50  # batches of draws before resampling takes over
 RESAMPLED_FROM = 200_000  # uniform draws of the prior
 
@@ -64,41 +64,24 @@ def log_density(posterior: NeuralPosterior, theta: Float[np.ndarray, "n d"]) -> 
 
 @dataclass(frozen=True)
 class Support:
-    """The highest-density region that holds all but EXCLUDED_MASS of a posterior, with a rotated box around it.
-
-    The box makes uniform sampling exact and cheap: candidates are uniform in it, and kept where the density is high
-    enough. It spans mean + axes' z with z between low and high.
-    """
+    """Where a posterior has mass: its density exceeds `threshold`, which all but EXCLUDED_MASS of its draws do."""
 
     posterior: NeuralPosterior
     threshold: float
-    mean: Float[np.ndarray, " d"]
-    axes: Float[np.ndarray, "d d"]
-    low: Float[np.ndarray, " d"]
-    high: Float[np.ndarray, " d"]
 
     @classmethod
     def of(cls, posterior: NeuralPosterior, space: ParameterSpace) -> "Support":
-        samples = draw(posterior, space, SUPPORT_SAMPLES)
-        density = log_density(posterior, samples)
-        threshold = float(np.quantile(density, EXCLUDED_MASS))
-        kept = samples[density > threshold]
-        mean, axes = kept.mean(axis=0), np.linalg.cholesky(np.cov(kept.T).reshape(kept.shape[1], -1)).T
-        z = np.linalg.solve(axes.T, (kept - mean).T).T
-        margin = MARGIN * (z.max(axis=0) - z.min(axis=0))
-        return cls(posterior, threshold, mean, axes, z.min(axis=0) - margin, z.max(axis=0) + margin)
+        density = log_density(posterior, draw(posterior, space, SUPPORT_SAMPLES))
+        return cls(posterior, float(np.quantile(density, EXCLUDED_MASS)))
 
     def contains(self, theta: Float[np.ndarray, "n d"]) -> np.ndarray:
         return log_density(self.posterior, theta) > self.threshold
-
-    def candidates(self, rng: np.random.Generator) -> Float[np.ndarray, "n d"]:
-        return self.mean + rng.uniform(self.low, self.high, (CANDIDATES, len(self.low))) @ self.axes
 
 
 def inside(supports: Sequence[Support], theta: Float[np.ndarray, "n d"]) -> np.ndarray:
     """Which rows lie in every support."""
     kept = np.ones(len(theta), dtype=bool)
-    for support in supports:
+    for support in supports[::-1]:
         rows = np.flatnonzero(kept)
         kept[rows] = support.contains(theta[rows]) if len(rows) else False
     return kept
@@ -109,20 +92,42 @@ def truncated_prior(
 ) -> Float[np.ndarray, "n d"]:
     """n draws, uniform over the part of the prior that lies in every support.
 
-    Raises RuntimeError if so little of the last support's box qualifies that sampling would not end.
+    Rejection from the prior, or from a box around the support, takes millions of draws once a posterior is narrow or
+    has tails. An ensemble of walkers (emcee; Goodman & Weare 2010) moves through the support instead: it starts from
+    draws of the last posterior, resampled to be nearly uniform, and needs no scale of its own.
     """
     if not supports:
         return rng.uniform(space.low, space.high, (n, len(space)))
-    found: list[np.ndarray] = []
-    tried = 0
-    while sum(map(len, found)) < n:
-        theta = supports[-1].candidates(rng)
-        theta = theta[_within(space, theta)]
-        found.append(theta[inside(supports[::-1], theta)])
-        tried += CANDIDATES
-        if tried > MOST_CANDIDATES:
-            raise RuntimeError(f"only {sum(map(len, found))} of {tried} candidates lie in the truncated prior")
-    return np.concatenate(found)[:n]
+    width = space.high - space.low
+
+    def log_uniform(z: np.ndarray) -> np.ndarray:
+        theta = space.low + z * width
+        allowed = _within(space, theta)
+        allowed[allowed] = inside(supports, theta[allowed])
+        return np.where(allowed, 0.0, -np.inf)
+
+    sampler = emcee.EnsembleSampler(
+        WALKERS, len(space), log_uniform, vectorize=True, moves=[(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
+    )
+    start = emcee.State((_spread(space, supports, rng) - space.low) / width)
+    start.random_state = np.random.RandomState(rng.integers(2**31)).get_state()
+    thinned = -(-n // WALKERS)
+    sampler.run_mcmc(start, WARM_UP + THINNING * thinned, skip_initial_state_check=True)
+    return (space.low + sampler.get_chain(discard=WARM_UP, thin=THINNING, flat=True) * width)[:n]
+
+
+def _spread(space: ParameterSpace, supports: Sequence[Support], rng: np.random.Generator) -> np.ndarray:
+    """Walkers at draws of the last posterior that lie in every support, weighted against its density."""
+    draws = draw(supports[-1].posterior, space, SUPPORT_SAMPLES)
+    draws = draws[inside(supports, draws)]
+    if len(draws) < WALKERS:
+        raise InputError(
+            f"only {len(draws)} of {SUPPORT_SAMPLES} draws lie in the supports of all rounds: they contradict each other; "
+            "use more simulations a round"
+        )
+    density = log_density(supports[-1].posterior, draws)
+    weight = np.exp(density.min() - density)
+    return draws[rng.choice(len(draws), WALKERS, replace=False, p=weight / weight.sum())]
 
 
 def acceptance(posterior: NeuralPosterior, space: ParameterSpace) -> float:

@@ -130,8 +130,8 @@ class Training:
     def __post_init__(self) -> None:
         if not (self.members >= 1 and self.batch_size >= 2 and self.atoms >= 2 and self.learning_rate > 0):
             raise InputError("training: members must be at least 1, batch_size and atoms at least 2, learning_rate positive")
-        if not (self.max_epochs >= 1 and self.stop_after_epochs >= 1 and self.clip_max_norm > 0):
-            raise InputError("training: max_epochs and stop_after_epochs must be at least 1, clip_max_norm positive")
+        if not (self.max_epochs >= 2 and self.stop_after_epochs >= 1 and self.clip_max_norm > 0):
+            raise InputError("training: max_epochs must be at least 2, stop_after_epochs 1, and clip_max_norm positive")
         if not 0 < self.validation_fraction < 1:
             raise InputError(f"training.validation_fraction = {self.validation_fraction:g}; it must lie between 0 and 1")
 

@@ -1,0 +1,175 @@
+"""From what a user configures to a problem: synthetic or recorded, reproducible from the seed, refused where wrong."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cars import PAPER
+from studies import PRIOR, STD, manoeuvre, simulator
+from vehicle_sbi.data.manoeuvre import Synthetic
+from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise, ProcessNoise
+from vehicle_sbi.data.readers import RecordingFile
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.estimator import NeuralSplineFlow
+from vehicle_sbi.inference.features import Score
+from vehicle_sbi.inference.study import Study
+from vehicle_sbi.inference.training import Training
+
+TRUTH = {"l_f": 1.2, "delta_C_alpha_f": 0.1, "delta_C_alpha_r": -0.1}
+BASE: dict[str, Any] = {
+    "vehicle": PAPER,
+    "drive": "torque",
+    "prior": PRIOR,
+    "effects": [],
+    "recording": Synthetic(manoeuvre=manoeuvre()),
+    "window_s": 5.0,
+    "warmup_s": 0.5,
+    "noise": ConstantNoise(std=STD),
+    "features": Score(),
+    "estimator": NeuralSplineFlow(),
+    "training": Training(),
+    "truth": TRUTH,
+    "seed": 3,
+}
+
+
+def study(**changes: object) -> Study:
+    return Study(**BASE | changes)
+
+
+def test_a_synthetic_study_observes_a_simulation_of_its_truth() -> None:
+    prepared = study(noise=ConstantNoise(std=STD, process=ProcessNoise(stiffness=0.0))).prepare()
+    sim = prepared.problem.simulator
+    assert prepared.truth is not None
+    np.testing.assert_array_equal(prepared.truth, list(TRUTH.values()))
+    # Between the initial speed's ends the lateral signals hardly change: the noise-free ones at its middle are near.
+    clean = sim.noise_free(prepared.truth[None])[0]
+    residual = prepared.problem.observed - clean
+    assert residual[1].std() < 2 * STD["a_y"]
+    assert prepared.inputs == {}
+    assert prepared.recording is None
+
+
+def test_a_study_is_a_pure_function_of_its_configuration() -> None:
+    first, again, other = (study(seed=seed).prepare() for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.problem.observed, again.problem.observed)
+    assert (first.problem.observed != other.problem.observed).any()
+    means = [p.problem.simulator.process.stiffness.means for p in (first, again, other)]
+    np.testing.assert_array_equal(means[0], means[1])
+    assert (means[0] != means[2]).all()
+
+
+def test_a_truth_that_is_not_stated_is_drawn_from_the_prior_by_the_seed() -> None:
+    truths = [study(truth=None, seed=seed).prepare().truth for seed in (0, 0, 1)]
+    assert all(truth is not None for truth in truths)
+    np.testing.assert_array_equal(truths[0], truths[1])
+    assert (truths[0] != truths[2]).all()
+    space = study().prepare().problem.simulator.space
+    assert all(((space.low <= truth) & (truth <= space.high)).all() for truth in truths)
+
+
+@pytest.mark.parametrize("rate", [50.0, 200.0])
+def test_the_integrators_steps_are_fine_enough(rate: float) -> None:
+    """Halving them moves no signal by as much as a hundredth of its noise."""
+    sim = study(recording=Synthetic(manoeuvre=manoeuvre(rate=rate))).prepare().problem.simulator
+    theta = np.stack([sim.space.low, (sim.space.low + sim.space.high) / 2, sim.space.high])
+    coarse, fine = (s.noise_free(theta) for s in (sim, replace(sim, substeps=2 * sim.substeps)))
+    assert (np.abs(coarse - fine).max(axis=(0, 2)) < 0.01 * sim.noise.floor).all()
+
+
+def drive(folder: Path, *, std: float = 0.0, rho: float = 0.0) -> RecordingFile:
+    """A made-up recording of the paper's car with known parameters, in native columns."""
+    sim = simulator(rate=100.0, duration=40.0)
+    y = sim.noise_free(np.array([list(TRUTH.values())]))[0]
+    speed = replace(sim, windows=replace(sim.windows, channels=("v_x",), groups=("can",)))
+    v_x = speed.noise_free(np.array([list(TRUTH.values())]))[0, 0]
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((2, len(v_x)))
+    for k in range(1, len(v_x)):
+        noise[:, k] = rho * noise[:, k - 1] + np.sqrt(1 - rho**2) * noise[:, k]
+    frame = pd.DataFrame(
+        {
+            "time_s": np.arange(len(v_x)) / 100.0,
+            "steering_rad": sim.windows.u[0, :, 0],
+            "v_x_mps": v_x,
+            "a_y_mps2": y[1] + std * noise[0],
+            "yaw_rate_radps": y[2] + 0.1 * std * noise[1],
+        }
+    )
+    frame.to_csv(folder / "drive.csv", index=False)
+    return RecordingFile(path=folder / "drive.csv", drive="speed", channels=("a_y", "yaw_rate"))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_noise_is_estimated_under_the_model_that_made_the_recording(tmp_path: Path, rho: float) -> None:
+    file = drive(tmp_path, std=0.2, rho=rho)
+    found = study(recording=file, drive="speed", truth=None, noise=EstimatedNoise()).prepare()
+    sim = found.problem.simulator
+    n = sim.windows.valid[0].sum()
+    worth = n * (1 - rho**2) / (1 + rho**2)
+    # Five standard errors, and a tenth for what the fit and the initial states of the windows take up.
+    np.testing.assert_allclose(sim.noise.floor, [0.2, 0.02], rtol=5 * np.sqrt(0.5 / worth) + 0.1)
+    np.testing.assert_allclose(sim.noise.rho, rho, atol=5 * np.sqrt((1 - rho**2) / n) + 0.05)
+    assert found.truth is None
+    assert list(found.inputs) == [str(file.path)]
+    assert (found.problem.observed[~sim.windows.valid] == 0).all()
+
+
+@pytest.mark.parametrize("missing", ["a_y_mps2", "v_x_mps", "steering_rad"])
+def test_a_recording_without_what_is_needed_is_refused(tmp_path: Path, missing: str) -> None:
+    file = drive(tmp_path)
+    path = Path(file.path)
+    pd.read_csv(path).drop(columns=missing).to_csv(path, index=False)
+    with pytest.raises(InputError, match=missing.rpartition("_")[0]):
+        study(recording=file, drive="speed", truth=None, noise=EstimatedNoise()).prepare()
+
+
+WRONG: Mapping[str, tuple[dict, str]] = {
+    "drive": ({"drive": "pedals"}, "drive: unknown drive mode 'pedals'; known: "),
+    "drive of a manoeuvre": ({"drive": "speed"}, "drive=speed: a synthetic manoeuvre states torques; it needs drive=torque"),
+    "seed": ({"seed": -1}, "seed = -1; it must be a whole number that is not negative"),
+    "fraction of a seed": ({"seed": 0.5}, "seed = 0.5; it must be a whole number"),
+    "truth": ({"truth": {"l_f": 1.2}}, "truth: no value for delta_C_alpha_f"),
+    "estimated": ({"noise": EstimatedNoise()}, "noise=estimated: there is no recording to estimate it from"),
+    "spins out": (
+        {"recording": Synthetic(manoeuvre=manoeuvre(steering_amplitude=0.5)), "truth": TRUTH | {"l_f": 1.5}},
+        "the vehicle spins out with the true parameters",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_study_is_one_clear_line(case: str) -> None:
+    given, message = WRONG[case]
+    with pytest.raises(InputError, match=message) as error:
+        study(**given).prepare()
+    assert "\n" not in str(error.value)
+
+
+def test_a_recording_has_no_stated_truth(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="truth: a recording has no stated truth"):
+        study(recording=RecordingFile(path=tmp_path / "drive.csv"), drive="speed")
+
+
+BAD_MANOEUVRES: Mapping[str, tuple[dict, str]] = {
+    "no time": ({"duration": 0.0}, "manoeuvre 'mild': 0 s at 50 Hz hold no two samples"),
+    "no number": ({"duration": float("nan")}, "manoeuvre 'mild': nan s at 50 Hz hold no two samples"),
+    "no period": ({"torque_period": 0.0}, "manoeuvre 'mild': steering_period 4 s and torque_period 0 s must be positive"),
+    "speeds": ({"v_x_low": 12.0}, "manoeuvre 'mild': initial speed 12 to 11 m/s; low must not exceed high"),
+    "too slow": ({"v_x_low": 0.5}, "the model holds above 1 m/s"),
+    "channel": ({"channels": ("a_x", "a_q")}, "manoeuvre 'mild': unknown channel 'a_q'; known: a_"),
+    "an input": ({"channels": ("steering",)}, "manoeuvre 'mild': unknown channel 'steering'; known: "),
+    "no channel": ({"channels": ()}, "manoeuvre 'mild': no channel is measured"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_MANOEUVRES)
+def test_a_wrong_manoeuvre_is_one_clear_line(case: str) -> None:
+    given, message = BAD_MANOEUVRES[case]
+    with pytest.raises(InputError, match=message):
+        manoeuvre(**given)
