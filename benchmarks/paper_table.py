@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from vehicle_sbi.report.tables import markdown
+
 ROOT = Path(__file__).resolve().parent.parent
 RUNS = ROOT / "outputs" / "paper_table"
 RESULTS = ROOT / "benchmarks" / "results"
@@ -60,9 +62,11 @@ def main() -> None:
     memory = max(json.loads((run / "manifest.json").read_text())["peak_memory_mb"] for run in finished)
     RESULTS.mkdir(exist_ok=True)
     table.to_csv(RESULTS / "paper_table.csv", index=False)
-    text = summary(table).to_markdown(index=False, floatfmt=".3g")
+    text = markdown(summary(table).map(lambda v: f"{v:.3g}" if isinstance(v, float) else str(v)))
     where = f"{date.today()}, {platform.platform()}, {os.cpu_count()} cores, two runs at a time"
-    times = f"seconds a run: median {pd.Series(seconds).median():.0f}, longest {max(seconds):.0f}; peak memory {memory} MB"
+    times = (
+        f"seconds a run: median {pd.Series(seconds).median():.0f}, longest {max(seconds):.0f}; peak memory {memory} MB"
+    )
     (RESULTS / "paper_table.md").write_text(f"{text}\n\n{where}; {times}.\n")
     print(text, f"\n{times}")
 

@@ -1,6 +1,6 @@
 """Simulations per second of the paper's study, and how long the first call compiles.
 
-    make bench-simulator
+make bench-simulator
 """
 
 import resource
@@ -52,7 +52,8 @@ def main() -> None:
         seconds.append(time.perf_counter() - start)
     median = float(np.median(seconds[1:]))
     print(f"first call: {seconds[0]:.2f} s (compiles, or loads the compiled code from disk)")
-    print(f"{SIMULATIONS} simulations of {SAMPLES} samples: median {median:.2f} s, {min(seconds[1:]):.2f} to {max(seconds[1:]):.2f} s")
+    spread = f"{min(seconds[1:]):.2f} to {max(seconds[1:]):.2f} s"
+    print(f"{SIMULATIONS} simulations of {SAMPLES} samples: median {median:.2f} s, {spread}")
     print(f"peak memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
     print(f"simulations_per_second: {SIMULATIONS / median:.0f}")
 

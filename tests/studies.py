@@ -1,10 +1,11 @@
 """A short study that the tests of inference share: the paper's car in its own manoeuvre, with noise of a known law."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-
 from cars import PAPER
+
 from vehicle_sbi.data.manoeuvre import Manoeuvre
 from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise, Mixture, ProcessNoise
 from vehicle_sbi.data.recording import Windows
@@ -18,10 +19,11 @@ PRIOR = {"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3], "delta_C_alpha_r": [
 STD = {"a_x": 0.15, "a_y": 0.15, "yaw_rate": 0.005, "wheel_speed_front": 0.1, "wheel_speed_rear": 0.1}
 
 
-def manoeuvre(**changes: object) -> Manoeuvre:
+def manoeuvre(**changes: Any) -> Manoeuvre:
     """The paper's mild manoeuvre at a quarter of its rate, which is enough for an integrator of four substeps."""
-    settings: dict = {"name": "mild", "steering_amplitude": 0.06, "drive_torque": 600.0, "brake_torque": -900.0}
-    return Manoeuvre(**settings | {"rate": 50.0} | changes)
+    settings: dict[str, Any] = {"name": "mild", "steering_amplitude": 0.06, "rate": 50.0}
+    settings.update({"drive_torque": 600.0, "brake_torque": -900.0} | changes)
+    return Manoeuvre(**settings)
 
 
 def constant_noise(windows: Windows, *, rho: float = 0.0, factor: float = 1.0) -> MeasurementNoise:
@@ -30,8 +32,8 @@ def constant_noise(windows: Windows, *, rho: float = 0.0, factor: float = 1.0) -
     return MeasurementNoise(np.zeros(len(floor)), floor, np.full(len(floor), rho), windows.t.shape[1])
 
 
-def paper_process(**settings: float) -> DrawnProcessNoise:
-    return ProcessNoise(**settings).draw(generator(seed=0, stream=Stream.STUDY))  # type: ignore[arg-type]
+def paper_process(**settings: Any) -> DrawnProcessNoise:
+    return ProcessNoise(**settings).draw(generator(seed=0, stream=Stream.STUDY))
 
 
 def simulator(
@@ -40,7 +42,7 @@ def simulator(
     process: DrawnProcessNoise = QUIET,
     noise: MeasurementNoise | None = None,
     known_start: bool = True,
-    **driven: object,
+    **driven: Any,
 ) -> Simulator:
     """The paper's car with constant noise; without process noise and from a known speed unless asked otherwise."""
     windows = manoeuvre(**driven).windows(PAPER)

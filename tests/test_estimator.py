@@ -2,15 +2,16 @@
 
 import copy
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
 import yaml
+from conftest import ROOT
 from hydra.utils import instantiate
 from sbi.neural_nets import posterior_nn
 from torch import Tensor, nn
 
-from conftest import ROOT
 from vehicle_sbi.inference.embedding import StridedCNN
 from vehicle_sbi.inference.estimator import DensityEstimator, Embedded, NeuralSplineFlow, behind
 
@@ -36,7 +37,7 @@ def data() -> tuple[Tensor, Tensor]:
     return torch.rand(80, D, generator=generator), torch.randn(80, 2, TIME, generator=generator)
 
 
-def wirings(theta: Tensor, x: Tensor) -> tuple[Embedded, nn.Module]:
+def wirings(theta: Tensor, x: Tensor) -> tuple[Embedded, Any]:
     """Our estimator behind an embedding, and sbi's own with a copy of that embedding and of all weights."""
     torch.manual_seed(1)
     ours = behind(Counting(), NeuralSplineFlow(num_transforms=2, num_bins=4, hidden_features=10).builder())(theta, x)
@@ -46,7 +47,8 @@ def wirings(theta: Tensor, x: Tensor) -> tuple[Embedded, nn.Module]:
         hidden_features=10,
     )(theta, x)  # fmt: skip
     # sbi standardises x before its embedding (not at all here), ours what comes out of it.
-    net, inner = stock.net, ours.inner.net
+    net: Any = stock.net
+    inner: Any = ours.inner.net
     net._transform.load_state_dict(inner._transform.state_dict())
     net._distribution.load_state_dict(inner._distribution.state_dict())
     standardise = copy.deepcopy(inner._embedding_net)
@@ -70,7 +72,7 @@ def test_draws_are_those_of_sbis_own_wiring(data: tuple[Tensor, Tensor]) -> None
     drawn = []
     for estimator in (ours, stock):
         torch.manual_seed(3)
-        drawn.append(estimator.sample((10,), x).detach())
+        drawn.append(estimator.sample(torch.Size((10,)), x).detach())
     assert drawn[0].shape == (10, 4, D)
     torch.testing.assert_close(drawn[0], drawn[1])
     both = []

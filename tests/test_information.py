@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
-
 from studies import PRIOR, constant_noise, paper_process, repeated, simulator
+
 from vehicle_sbi.data.noise import MeasurementNoise
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.information import best_fit, bound_std, fisher, joint_fisher, sensitivity
@@ -72,7 +72,9 @@ def test_process_noise_bounds_a_stiffness_from_below_however_long_the_recording(
 def test_the_bound_falls_with_the_root_of_the_number_of_windows(times: int) -> None:
     once = simulator()
     often = replace(once, windows=repeated(once.windows, times))
-    ratio = bound_std(fisher(once, MIDDLE), once.space.prior_std) / bound_std(fisher(often, MIDDLE), once.space.prior_std)
+    ratio = bound_std(fisher(once, MIDDLE), once.space.prior_std) / bound_std(
+        fisher(often, MIDDLE), once.space.prior_std
+    )
     np.testing.assert_allclose(ratio, np.sqrt(times), rtol=1e-9)
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, kstest
-
 from cars import PAPER
+from scipy.stats import chi2, kstest
 from studies import STD, constant_noise, manoeuvre, paper_process, repeated
+
 from vehicle_sbi.data.noise import (
     ConstantNoise,
     EstimatedNoise,
@@ -34,7 +34,7 @@ def long_windows(times: int = 100) -> Windows:
 
 def chi_square_interval(n: int) -> tuple[float, float]:
     """Where the mean square of n unit Gaussians lies in all but 1e-6 of cases."""
-    return chi2.ppf(5e-7, n) / n, chi2.ppf(1 - 5e-7, n) / n
+    return float(chi2.ppf(5e-7, n) / n), float(chi2.ppf(1 - 5e-7, n) / n)
 
 
 def test_a_mixture_has_the_mean_and_the_spread_that_it_says() -> None:
@@ -73,7 +73,7 @@ def test_the_mixture_is_that_of_the_paper() -> None:
 
 @pytest.mark.parametrize("settings", [{"stiffness": -0.1}, {"stiffness": 0.3}, {"inputs": 0.5}, {"components": 0}])
 def test_process_noise_out_of_range_is_refused(settings: dict) -> None:
-    with pytest.raises(InputError, match="noise.process: "):
+    with pytest.raises(InputError, match=r"noise\.process: "):
         ProcessNoise(**settings)
 
 
@@ -234,5 +234,5 @@ def test_bad_noise_is_one_clear_line(case: str) -> None:
 
 
 def test_proportional_noise_needs_a_floor_since_signals_cross_zero() -> None:
-    with pytest.raises(InputError, match="noise.floor: a floor must be positive"):
+    with pytest.raises(InputError, match=r"noise\.floor: a floor must be positive"):
         ProportionalNoise(share=SHARE, floor=FLOOR | {"a_x": 0.0}).measurement(manoeuvre().windows(PAPER))

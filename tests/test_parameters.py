@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from cars import PAPER
+
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.parameters import Parameter, ParameterSpace, box

@@ -2,15 +2,17 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-
 from studies import PRIOR, constant_noise, simulator
+
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Embedding, Features, Handcrafted, Score
+from vehicle_sbi.inference.information import best_fit, bound_std, fisher
 from vehicle_sbi.inference.proposal import Support, draw
 from vehicle_sbi.inference.rounds import (
     Amortised,
@@ -37,7 +39,7 @@ SCHEMES: dict[str, Scheme] = {
 }
 
 
-def problem(features: Features | None = None, training: Training = QUICK, **driven: object) -> Problem:
+def problem(features: Features | None = None, training: Training = QUICK, **driven: Any) -> Problem:
     sim = simulator(known_start=False, **driven)
     truth = np.array([[1.2, 0.1, -0.1]])
     observed = sim.simulate(truth, np.array([0]), stream=Stream.TRUTH)[0][0].astype(float)
@@ -46,7 +48,7 @@ def problem(features: Features | None = None, training: Training = QUICK, **driv
 
 def samples_of(inference: Inference) -> np.ndarray:
     torch.manual_seed(0)
-    return inference.posterior.sample((50,), show_progress_bars=False).detach().numpy()
+    return draw(inference.posterior, simulator().space, 50)  # sbi's own sampling may never end for a leaking density
 
 
 def same(a: Round, b: Round) -> bool:
@@ -83,7 +85,9 @@ def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
         infer(problem(), SCHEMES["truncated"], tmp_path, quiet=True)
 
 
-@pytest.mark.parametrize("features", [Handcrafted(), Embedding(decimate=2, outputs=5)], ids=["handcrafted", "embedding"])
+@pytest.mark.parametrize(
+    "features", [Handcrafted(), Embedding(decimate=2, outputs=5)], ids=["handcrafted", "embedding"]
+)
 @pytest.mark.parametrize("name", ["truncated", "corrected"])
 def test_every_kind_of_features_goes_with_every_scheme(tmp_path: Path, features: Features, name: str) -> None:
     found = infer(problem(features), SCHEMES[name], tmp_path, quiet=True)
@@ -96,7 +100,8 @@ def test_a_posterior_is_rebuilt_from_its_checkpoint(tmp_path: Path) -> None:
     finished = one_round(study, SCHEMES["truncated"], Inference((), ()), quiet=True)
     finished.save(tmp_path / "round.pt")
     theta = torch.tensor([[1.2, 0.1, -0.1], [1.4, 0.0, 0.2]])
-    densities = [posterior_of(study, r).log_prob(theta, norm_posterior=False) for r in (finished, Round.load(tmp_path / "round.pt"))]
+    rounds = (finished, Round.load(tmp_path / "round.pt"))
+    densities = [posterior_of(study, r).log_prob(theta, norm_posterior=False) for r in rounds]  # type: ignore[call-arg]
     torch.testing.assert_close(densities[0], densities[1])
 
 
@@ -174,16 +179,14 @@ def test_an_amortised_posterior_has_one_round() -> None:
 
 
 @pytest.mark.slow
-def test_two_truncated_rounds_reach_the_bound(tmp_path: Path) -> None:
-    """A nearly linear problem in Gaussian noise: the posterior is a Gaussian of the bound's spread about the best fit."""
-    from vehicle_sbi.inference.information import best_fit, bound_std, fisher
-
+def test_truncated_rounds_reach_the_bound(tmp_path: Path) -> None:
+    """A nearly linear problem in Gaussian noise: the posterior is a Gaussian of the bound's spread at the best fit."""
     sim = simulator(PRIOR)
     sim = sim.with_noise(constant_noise(sim.windows))
     truth = np.array([1.2, 0.1, -0.1])
     observed = sim.simulate(truth[None], np.array([0]), stream=Stream.TRUTH)[0][0].astype(float)
     training = Training(batch_size=200, learning_rate=2e-3, max_epochs=100)
-    study = Problem(sim, observed, Score(), NeuralSplineFlow(hidden_features=30, num_transforms=2, num_bins=5), training)
+    study = Problem(sim, observed, Score(), NeuralSplineFlow(hidden_features=30, num_transforms=2), training)
     found = infer(study, Truncated(rounds=3, simulations=1500), tmp_path, quiet=True)
     torch.manual_seed(0)
     samples = draw(found.posterior, sim.space, 4000)

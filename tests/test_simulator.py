@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cars import MILD, PAPER, finished, paper_manoeuvre, record_of
 from scipy.stats import chi2, kstest
-
-from cars import PAPER, MILD, finished, paper_manoeuvre, record_of
 from studies import QUIET, constant_noise, manoeuvre, paper_process, repeated, simulator
+
 from vehicle_sbi.data.noise import MeasurementNoise
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.simulator import STIFFNESSES, Simulator, succeeded, use_cores
@@ -69,7 +69,8 @@ def test_without_noise_it_is_the_model() -> None:
     """The same as the physics called directly, with theta as fields of the record."""
     sim = simulator({"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3]}, rate=200.0)
     theta = np.array([[1.2, 0.1]])
-    expected = finished(record_of(PAPER, l_f=1.2, C_alpha_f=7e4), "torque", paper_manoeuvre(MILD), (10.5, 0, 0), substeps=10)
+    car = record_of(PAPER, l_f=1.2, C_alpha_f=7e4)
+    expected = finished(car, "torque", paper_manoeuvre(MILD), (10.5, 0, 0), substeps=10)
     # cars.simulate reports the yaw rate over CAN and the simulator from the IMU: neither is delayed here.
     np.testing.assert_allclose(sim.noise_free(theta)[0], expected[:5], rtol=1e-12, atol=1e-12)
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
-from scipy.stats import truncnorm
 from sbi.inference.posteriors import DirectPosterior
 from sbi.utils import BoxUniform
+from scipy.stats import truncnorm
+from test_estimator import TIME, Counting
 from torch import Tensor, nn
 
-from test_estimator import TIME, Counting
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import Builder, Embedded, MaskedAutoregressiveFlow, NeuralSplineFlow, behind
 from vehicle_sbi.inference.training import Batches, Decay, Fit, Npe, Simulations, Training, fit
@@ -37,15 +37,32 @@ def prior_draws(n: int, seed: int = 0) -> Tensor:
 
 
 def trained(
-    rounds: list[Simulations], training: Training = QUICK, build: Builder | None = None, *, prior=None, **address: int
+    rounds: list[Simulations],
+    training: Training = QUICK,
+    build: Builder | None = None,
+    *,
+    prior: BoxUniform | None = None,
+    seed: int = 0,
+    round: int = 0,
+    member: int = 0,
 ) -> Fit:
     prior = prior or BoxUniform(LOW, HIGH)
-    address = {"seed": 0, "round": 0, "member": 0} | address
-    return fit(prior, build or FLOW.builder(), rounds, training, **address, seen=lambda epoch, loss: None)
+    return fit(
+        prior,
+        build or FLOW.builder(),
+        rounds,
+        training,
+        seed=seed,
+        round=round,
+        member=member,
+        seen=lambda epoch, loss: None,
+    )
 
 
 def posterior_of(found: Fit, prior: BoxUniform) -> DirectPosterior:
-    return DirectPosterior(found.estimator, prior).set_default_x(X_O)
+    posterior = DirectPosterior(found.estimator, prior)
+    posterior.set_default_x(X_O)
+    return posterior
 
 
 def assert_exact(posterior: DirectPosterior, n: int) -> None:
@@ -102,9 +119,9 @@ def test_a_fit_is_a_pure_function_of_its_data_and_its_address() -> None:
     data = [Simulations(theta, simulated(theta, 1))]
     short = Training(batch_size=50, max_epochs=2)
 
-    def losses(**address: int) -> list[float]:
+    def losses(*, seed: int = 0, round: int = 0, member: int = 0) -> list[float]:
         torch.manual_seed(torch.seed() % 1000)  # what came before does not matter
-        return trained(data, short, **address).validation_loss
+        return trained(data, short, seed=seed, round=round, member=member).validation_loss
 
     assert losses() == losses()
     others = [losses(seed=1), losses(round=1), losses(member=1)]
@@ -126,7 +143,8 @@ def test_max_epochs_is_the_number_of_epochs(epochs: int) -> None:
 
 def test_training_stops_when_it_no_longer_gains() -> None:
     theta = prior_draws(200)
-    found = trained([Simulations(theta, simulated(theta, 1))], Training(batch_size=50, stop_after_epochs=3, learning_rate=0.02))
+    eager = Training(batch_size=50, stop_after_epochs=3, learning_rate=0.02)
+    found = trained([Simulations(theta, simulated(theta, 1))], eager)
     best = int(np.argmin(found.validation_loss))
     assert len(found.validation_loss) - 1 - best == 3
 

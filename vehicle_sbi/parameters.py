@@ -87,7 +87,9 @@ class ParameterSpace:
         theta = np.array([float(mapping[name]) for name in self.names])
         for p, value in zip(self.parameters, theta, strict=True):
             if not p.low <= value <= p.high:
-                raise InputError(f"{where}: {p.name} = {value:g} {p.unit} lies outside its prior [{p.low:g}, {p.high:g}]")
+                raise InputError(
+                    f"{where}: {p.name} = {value:g} {p.unit} lies outside its prior [{p.low:g}, {p.high:g}]"
+                )
         return theta
 
 

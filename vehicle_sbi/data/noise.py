@@ -161,7 +161,7 @@ class ProportionalNoise:
         share = _per_channel(self.share, windows.channels, "noise.share")
         floor = _per_channel(self.floor, windows.channels, "noise.floor")
         if not floor.all():
-            raise InputError("noise.floor: a floor must be positive; a signal that crosses zero would have no noise there")
+            raise InputError("noise.floor: a floor must be positive, for where a signal crosses zero")
         return MeasurementNoise(share, floor, np.zeros(len(share)), windows.t.shape[1])
 
 
@@ -203,8 +203,8 @@ class EstimatedNoise:
 def _bridged(y: Float[np.ndarray, "channels time"]) -> Float[np.ndarray, "channels time"]:
     """Absent samples bridged linearly: a step to any constant would count as noise around a gap."""
     t = np.arange(y.shape[1])
-    known = np.isfinite(y)
-    return np.stack([np.interp(t, t[good], row[good]) if good.any() else 0.0 * t for row, good in zip(y, known, strict=True)])
+    rows = zip(y, np.isfinite(y), strict=True)
+    return np.stack([np.interp(t, t[known], row[known]) if known.any() else 0.0 * t for row, known in rows])
 
 
 def from_residual(residual: Float[np.ndarray, "channels time"], windows: Windows) -> MeasurementNoise:

@@ -41,7 +41,7 @@ class Features(Protocol):
 
 
 def correlations(z: Series, lags: tuple[int, ...]) -> Float[np.ndarray, "n k"]:
-    """Auto- and cross-correlations of standardised series, each pair (i, j) at each lag: mean of z_i(t) z_j(t + lag)."""
+    """Correlations of standardised series, within and between them: the mean of z_i(t) z_j(t + lag) at each lag."""
     columns = []
     for lag in lags:
         early, late = (z, z) if lag == 0 else (z[..., :-lag], z[..., lag:])
@@ -151,7 +151,9 @@ class Embedding:
 
     def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], pilot: Series) -> Summary:
         if not 1 <= self.decimate <= pilot.shape[-1] // 64:
-            raise InputError(f"features.decimate = {self.decimate}; it must leave at least 64 of {pilot.shape[-1]} samples")
+            raise InputError(
+                f"features.decimate = {self.decimate}; it must leave at least 64 of {pilot.shape[-1]} samples"
+            )
         mean = pilot.mean(axis=(0, 2), keepdims=True)[0]
         std = pilot.std(axis=(0, 2), keepdims=True)[0] + TINY
 

@@ -88,7 +88,8 @@ def best_fit(
 ) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, "channels time"]]:
     """Weighted least squares inside the prior's box: (theta, residual) of the best start.
 
-    Weights take noise as independent, for the reason that the score's do. Nuisances are fitted too, held by their spread; theta is scaled to the box. Raises InputError if no start simulates.
+    Weights take noise as independent, for the reason that the score's do. Nuisances are fitted too, held by their
+    spread; theta is scaled to the box. Raises InputError if no start simulates.
     """
     space, valid, d = simulator.space, simulator.windows.valid, len(simulator.space)
     width, e = space.high - space.low, len(simulator.nuisances)
@@ -107,7 +108,10 @@ def best_fit(
 
     bounds = (np.concatenate([np.zeros(d), np.full(e, -np.inf)]), np.concatenate([np.ones(d), np.full(e, np.inf)]))
     begin = [np.concatenate([np.clip((s - space.low) / width, 1e-3, 1 - 1e-3), np.zeros(e)]) for s in starts]
-    fits = [least_squares(residual, z, jac=jacobian, bounds=bounds, max_nfev=MOST_STEPS, ftol=1e-5) for z in begin]
+    fits = [
+        least_squares(residual, z, jac=jacobian, bounds=bounds, max_nfev=MOST_STEPS, ftol=1e-5)  # pyright: ignore[reportArgumentType]
+        for z in begin
+    ]
     best = min(fits, key=lambda fit: fit.cost).x
     theta = space.low + best[:d] * width
     y = simulator.noise_free(theta[None], best[None, d:])[0]

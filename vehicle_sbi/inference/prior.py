@@ -97,7 +97,9 @@ def _check_physical(space: ParameterSpace, vehicle: Vehicle) -> None:
                 raise InputError(f"prior: {p.name} is an offset, but vehicle '{vehicle.name}' states no {name}")
             lowest = nominal + p.scale * p.low
             if lowest <= 0:
-                raise InputError(f"prior: {p.name} = [{p.low:g}, {p.high:g}] reaches {name} = {lowest:g}; it must be positive")
+                raise InputError(
+                    f"prior: {p.name} = [{p.low:g}, {p.high:g}] reaches {name} = {lowest:g}; it must be positive"
+                )
 
 
 def box(space: ParameterSpace) -> BoxUniform:

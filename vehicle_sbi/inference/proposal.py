@@ -2,25 +2,29 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import emcee
 import numpy as np
 import torch
 from jaxtyping import Float
+from sbi.inference import EnsemblePosterior
+from sbi.inference.posteriors import DirectPosterior
 from sbi.inference.posteriors.base_posterior import NeuralPosterior
+from torch import Tensor
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.parameters import ParameterSpace
 
 SUPPORT_SAMPLES = 10_000  # draws that estimate where a posterior has mass
 EXCLUDED_MASS = 1e-3  # share of a posterior's mass that truncation cuts off
-WALKERS, WARM_UP, THINNING = 500, 100, 20  # of the ensemble; an autocorrelation time is about 25 steps in six dimensions
+WALKERS, WARM_UP, THINNING = 500, 100, 20  # of the ensemble, whose autocorrelation time is about 25 steps
 MOST_REJECTIONS = 50  # batches of draws before resampling takes over
 RESAMPLED_FROM = 200_000  # uniform draws of the prior
 
 
-def _members(posterior: NeuralPosterior) -> Sequence[NeuralPosterior]:
-    return getattr(posterior, "posteriors", [posterior])
+def _members(posterior: NeuralPosterior) -> Sequence[DirectPosterior]:
+    return posterior.posteriors if isinstance(posterior, EnsemblePosterior) else [cast(DirectPosterior, posterior)]
 
 
 def _raw(posterior: NeuralPosterior, n: int) -> Float[np.ndarray, "n d"]:
@@ -28,13 +32,17 @@ def _raw(posterior: NeuralPosterior, n: int) -> Float[np.ndarray, "n d"]:
     members = _members(posterior)
     counts = np.bincount(torch.randint(len(members), (n,)).numpy(), minlength=len(members))
     with torch.no_grad():
-        drawn = [m.posterior_estimator.sample((int(c),), m.default_x)[:, 0] for m, c in zip(members, counts, strict=True) if c]  # pyright: ignore
+        drawn = [
+            m.posterior_estimator.sample(torch.Size([int(c)]), cast(Tensor, m.default_x))[:, 0]
+            for m, c in zip(members, counts, strict=True)
+            if c
+        ]
     theta = torch.cat(drawn)
     return theta[torch.randperm(n)].double().numpy()
 
 
 def _within(space: ParameterSpace, theta: Float[np.ndarray, "n d"]) -> np.ndarray:
-    return ((theta >= space.low) & (theta <= space.high)).all(axis=1)
+    return np.all((theta >= space.low) & (theta <= space.high), axis=1)
 
 
 def draw(posterior: NeuralPosterior, space: ParameterSpace, n: int) -> Float[np.ndarray, "n d"]:
@@ -107,7 +115,11 @@ def truncated_prior(
         return np.where(allowed, 0.0, -np.inf)
 
     sampler = emcee.EnsembleSampler(
-        WALKERS, len(space), log_uniform, vectorize=True, moves=[(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
+        WALKERS,
+        len(space),
+        log_uniform,
+        vectorize=True,
+        moves=[(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)],
     )
     start = emcee.State((_spread(space, supports, rng) - space.low) / width)
     start.random_state = np.random.RandomState(rng.integers(2**31)).get_state()
@@ -122,8 +134,8 @@ def _spread(space: ParameterSpace, supports: Sequence[Support], rng: np.random.G
     draws = draws[inside(supports, draws)]
     if len(draws) < WALKERS:
         raise InputError(
-            f"only {len(draws)} of {SUPPORT_SAMPLES} draws lie in the supports of all rounds: they contradict each other; "
-            "use more simulations a round"
+            f"only {len(draws)} of {SUPPORT_SAMPLES} draws lie in the supports of all rounds: they contradict each "
+            "other; use more simulations a round"
         )
     density = log_density(supports[-1].posterior, draws)
     weight = np.exp(density.min() - density)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, cast
 
 import numpy as np
 import torch
@@ -94,7 +94,9 @@ class Round:
         try:
             return cls(**torch.load(path, weights_only=True))
         except Exception as error:
-            raise InputError(f"{path}: no checkpoint of a round ({type(error).__name__}); delete it to redo it") from None
+            raise InputError(
+                f"{path}: no checkpoint of a round ({type(error).__name__}); delete it to redo it"
+            ) from None
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ class Inference:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a round simulates: its new parameters, and which rows of every round, the new one last, train its network."""
+    """What a round simulates: its new parameters, and which rows of every round, new one last, train its network."""
 
     theta: Float[np.ndarray, "n d"]
     rows: list[np.ndarray]
@@ -123,10 +125,7 @@ class Scheme(Protocol):
     @property
     def rounds(self) -> int: ...
 
-    @property
-    def fresh(self) -> bool:
-        """Whether each round trains a new network, under the plain likelihood, where failures may be left out."""
-        ...
+    fresh: ClassVar[bool]  # whether each round trains a new network, under the plain likelihood
 
     def plan(self, problem: Problem, before: Inference) -> Plan: ...
 
@@ -172,7 +171,7 @@ class Corrected:
             last = before.rounds[-1]
             if last.x_o.shape == data[0].x[:1].shape:
                 build = _continued(build, last.states[member])
-            data = [data[0], *(Simulations(d.theta, d.x, before.posterior) for d in data[1:])]
+            data = [data[0], *(Simulations(d.theta, d.x, cast(DirectPosterior, before.posterior)) for d in data[1:])]
         return problem.fit(build, data, round=len(before.rounds), member=member, seen=seen)
 
 

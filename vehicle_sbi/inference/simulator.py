@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 from jaxtyping import Float
+from numba.core import config
 
 from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise
 from vehicle_sbi.data.recording import Windows
@@ -19,10 +20,9 @@ from vehicle_sbi.physics.single_track import DRIVES, FINISHED, simulate_batch
 from vehicle_sbi.rng import Stream, generator
 
 
-
 def use_cores(cores: int | None) -> None:
-    """Let simulations use this many cores; None: all. Raises InputError for a number that this machine does not have."""
-    available = numba.config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccessIssue]
+    """Let simulations use this many cores; None: all. Raises InputError for a number this machine does not have."""
+    available = config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccessIssue]
     if cores is None:
         return
     if not isinstance(cores, int) or not 1 <= cores <= available:
@@ -99,7 +99,9 @@ class Simulator:
         spread = rng.uniform(-np.sqrt(3), np.sqrt(3), size) if self.uniform_start else rng.standard_normal(size)
         return Draws(stiffness, inputs, self.windows.x0 + self.windows.x0_std * spread)
 
-    def run(self, theta: Float[np.ndarray, "n d"], draws: Draws, dtype=np.float64) -> tuple[np.ndarray, np.ndarray]:
+    def run(
+        self, theta: Float[np.ndarray, "n d"], draws: Draws, dtype: type[np.floating] = np.float64
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Noise-free measurements (n, channels, time), NaN where a simulation failed, and outcomes (n,)."""
         y = np.empty((len(theta), *self.shape), dtype)
         outcomes = np.zeros(len(theta), np.int64)
@@ -121,7 +123,9 @@ class Simulator:
 
     def noise_free(self, theta: Float[np.ndarray, "n d"], eta: Float[np.ndarray, "n e"] | None = None) -> np.ndarray:
         """Measurements without noise (n, channels, time), nuisances at their means unless `eta` says otherwise."""
-        return self.run(theta, self.nuisance_draws(np.zeros((len(theta), len(self.nuisances))) if eta is None else eta))[0]
+        return self.run(
+            theta, self.nuisance_draws(np.zeros((len(theta), len(self.nuisances))) if eta is None else eta)
+        )[0]
 
     def simulate(
         self, theta: Float[np.ndarray, "n d"], index: np.ndarray, *, stream: Stream, round: int = 0

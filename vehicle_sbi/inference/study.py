@@ -95,7 +95,9 @@ class Study:
         observed = np.where(windows.valid, windows.y, 0.0)
         if isinstance(self.noise, EstimatedNoise) and self.noise.model_residual:
             simulator = simulator.with_noise(_under_model(simulator, observed, windows))
-        return Prepared(f"{self.vehicle.name} from {recording.name}", self._problem(simulator, observed), None, recording)
+        return Prepared(
+            f"{self.vehicle.name} from {recording.name}", self._problem(simulator, observed), None, recording
+        )
 
     def _problem(self, simulator: Simulator, observed: Float[np.ndarray, "channels time"]) -> Problem:
         return Problem(simulator, observed, self.features, self.estimator, self.training)

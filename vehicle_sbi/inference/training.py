@@ -5,15 +5,15 @@ The subclass replaces private methods of sbi 0.27, to which the project's depend
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import torch
 from sbi.inference import NPE_C
-from sbi.inference.posteriors.base_posterior import NeuralPosterior
-from sbi.neural_nets.estimators.base import ConditionalDensityEstimator
+from sbi.inference.posteriors import DirectPosterior
+from sbi.neural_nets.estimators.base import ConditionalDensityEstimator, ConditionalEstimatorBuilder
 from torch import Tensor
-from torch.optim.lr_scheduler import ReduceLROnPlateau
 from torch.distributions import Distribution
+from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import Builder, Embedded
@@ -58,21 +58,27 @@ class Npe(NPE_C):
     """NPE-C with a learning rate that decays; it calls `seen(epoch, validation_loss)` after every epoch."""
 
     def __init__(self, prior: Distribution, build: Builder, seen: EpochSeen, decay: "Decay") -> None:
-        super().__init__(prior=prior, density_estimator=build, tracker=NoTracker(), show_progress_bars=False)
+        named = cast(
+            ConditionalEstimatorBuilder[ConditionalDensityEstimator], build
+        )  # sbi calls (theta, x) by position
+        super().__init__(prior=prior, density_estimator=named, tracker=NoTracker(), show_progress_bars=False)
         self._seen, self._decay = seen, decay
 
-    def get_dataloaders(self, starting_round=0, training_batch_size=200, validation_fraction=0.1, *args, **kwargs):
+    def get_dataloaders(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, starting_round=0, training_batch_size=200, validation_fraction=0.1, *args, **kwargs
+    ):
+        """Batches by index for training and validation, in place of sbi's loaders."""
         tensors = self.get_simulations(starting_round)
         rows = torch.randperm(len(tensors[0]))
         training = int((1 - validation_fraction) * len(rows))
         self.train_indices, self.val_indices = rows[:training], rows[training:]
         return tuple(Batches(tensors, part, training_batch_size) for part in (self.train_indices, self.val_indices))
 
-    def _get_losses(self, batch, loss_args):
+    def _get_losses(self, batch, loss_args):  # pyright: ignore[reportIncompatibleMethodOverride]
+        """sbi's losses without its deep copy of the proposal for every batch."""
         theta, x, masks = batch
-        return self._loss(
-            theta, x, masks, loss_args.proposal, loss_args.calibration_kernel, loss_args.force_first_round_loss
-        )
+        shared: Any = loss_args
+        return self._loss(theta, x, masks, shared.proposal, shared.calibration_kernel, shared.force_first_round_loss)
 
     def _log_prob_proposal_posterior_atomic(self, theta, x, masks):
         outer = self._neural_net
@@ -88,9 +94,7 @@ class Npe(NPE_C):
     def _summarize_epoch(self, train_loss, val_loss, epoch_start_time, summarization_kwargs):
         super()._summarize_epoch(train_loss, val_loss, epoch_start_time, summarization_kwargs)
         if self.epoch == 0:
-            self._schedule = ReduceLROnPlateau(
-                self.optimizer, factor=self._decay.factor, patience=self._decay.patience
-            )
+            self._schedule = ReduceLROnPlateau(self.optimizer, factor=self._decay.factor, patience=self._decay.patience)
         self._schedule.step(val_loss)
         self._seen(self.epoch + 1, float(val_loss))
 
@@ -108,7 +112,8 @@ class Decay:
     def __post_init__(self) -> None:
         if not (0 < self.factor < 1 and self.patience >= 0):
             raise InputError(
-                f"training.decay: factor {self.factor:g} must lie between 0 and 1, patience {self.patience} not be negative"
+                f"training.decay: factor {self.factor:g} must lie between 0 and 1, "
+                f"patience {self.patience} not be negative"
             )
 
 
@@ -129,11 +134,15 @@ class Training:
 
     def __post_init__(self) -> None:
         if not (self.members >= 1 and self.batch_size >= 2 and self.atoms >= 2 and self.learning_rate > 0):
-            raise InputError("training: members must be at least 1, batch_size and atoms at least 2, learning_rate positive")
+            raise InputError(
+                "training: members must be at least 1, batch_size and atoms at least 2, learning_rate positive"
+            )
         if not (self.max_epochs >= 2 and self.stop_after_epochs >= 1 and self.clip_max_norm > 0):
             raise InputError("training: max_epochs must be at least 2, stop_after_epochs 1, and clip_max_norm positive")
         if not 0 < self.validation_fraction < 1:
-            raise InputError(f"training.validation_fraction = {self.validation_fraction:g}; it must lie between 0 and 1")
+            raise InputError(
+                f"training.validation_fraction = {self.validation_fraction:g}; it must lie between 0 and 1"
+            )
 
 
 @dataclass(frozen=True)
@@ -142,7 +151,7 @@ class Simulations:
 
     theta: Tensor
     x: Tensor
-    proposal: NeuralPosterior | None = None
+    proposal: DirectPosterior | None = None
 
 
 @dataclass(frozen=True)

@@ -109,9 +109,9 @@ def nominal_record(vehicle: Vehicle) -> np.void:
 def derive(p) -> None:
     """Fill the derived fields of the record.
 
-    I_z = factor m l_f l_r unless the vehicle file states it; static loads m g l_r/L and m g l_f/L across a graded or banked road, on which gravity along
-    x shifts load as an acceleration does (Rajamani, sec. 4.2); load transfer m h/L [N per m/s^2]; relaxation length
-    sigma = C_alpha / K [m] (the paper's sec. II and equation 11).
+    I_z = factor m l_f l_r unless the vehicle file states it; static loads m g l_r/L and m g l_f/L across a graded or
+    banked road, on which gravity along x shifts load as an acceleration does (Rajamani, sec. 4.2); load transfer m h/L
+    [N per m/s^2]; relaxation length sigma = C_alpha / K [m] (the paper's sec. II and equation 11).
     """
     p.l_r = p.L - p.l_f
     p.I_z = yaw_inertia(p, p.I_z_stated if p.I_z_stated > 0.0 else p.m * p.l_f * p.l_r)

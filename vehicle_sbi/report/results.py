@@ -25,6 +25,7 @@ from vehicle_sbi.rng import Stream, seed_torch
 
 LEAKING = 0.5  # acceptance below which the last round is warned about
 EXTRAPOLATED = 1.5  # surprise from which the recording counts as unlike the simulations
+LEARNABLE = 0.1  # of the prior's width, a bound below which a parameter ought to have been identified
 EDGE = 0.05  # of the prior's width, within which a median counts as lying on its edge
 
 
@@ -113,7 +114,8 @@ def write_figures(path: Path, found: Results, prepared: Prepared, inference: Inf
     contraction_bars(found.table, path / "contraction.png")
     losses(history(inference), path / "losses.png")
     return {
-        "Posterior: densities on the diagonal, pairs below; red is the true value, where it is known.": path / "pairplot.png",
+        "Posterior: densities on the diagonal, pairs below; red is the truth, where it is known.": path
+        / "pairplot.png",
         "Recording against posterior predictive, with its 90 % band.": path / "predictive.png",
         "Posterior standard deviation against bound and prior.": path / "contraction.png",
         "Loss of every round.": path / "losses.png",
@@ -162,12 +164,16 @@ def round_warnings(inference: Inference, table: pd.DataFrame) -> list[str]:
             f"The recording lies outside what the last round simulated ({last.surprise:.1f} times the half width of a "
             "feature's range): the network extrapolates, and the model lacks something that the recording shows."
         )
-    for row in table.itertuples():
-        width = row.prior_high - row.prior_low
-        at_edge = min(row.q50 - row.prior_low, row.prior_high - row.q50) < EDGE * width
-        if row.identified and at_edge:
+    for row in table.to_dict("records"):
+        name, width = row["parameter"], row["prior_high"] - row["prior_low"]
+        if not row["identified"] and row["bound_std"] < LEARNABLE * width:
             warnings.append(
-                f"{row.parameter} lies on the edge of its prior: widen the prior, or look for physics that the model "
-                "lacks and this parameter makes up for."
+                f"{name}: the recording tells it to {row['bound_std']:.2g} {row['unit']}, but this run has not learned "
+                "it; it needs more simulations or other features."
+            )
+        if row["identified"] and min(row["q50"] - row["prior_low"], row["prior_high"] - row["q50"]) < EDGE * width:
+            warnings.append(
+                f"{name} lies on the edge of its prior: widen the prior, or look for physics that the model lacks and "
+                "this parameter makes up for."
             )
     return warnings
