@@ -6,7 +6,6 @@ Runs `experiment=paper_table` as a user would, then gathers the run folders into
 run and parameter) and results/paper_table.md (means over seeds, with how often the 90 % interval held the truth).
 """
 
-import json
 import os
 import platform
 import subprocess
@@ -16,6 +15,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from vehicle_sbi.files import write_text
+from vehicle_sbi.report.run_folder import is_finished, read
 from vehicle_sbi.report.tables import markdown
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -26,7 +27,7 @@ KEPT = ["parameter", "true", "mean", "std", "q05", "q95", "bound_std", "identifi
 
 def rows(run: Path) -> pd.DataFrame:
     """One run's table with what tells the runs apart."""
-    manifest = json.loads((run / "manifest.json").read_text())
+    manifest = read(run).manifest
     table = pd.read_csv(run / "table.csv")[KEPT]
     table.insert(0, "seed", manifest["seed"])
     table.insert(0, "manoeuvre", manifest["choices"]["manoeuvre"])
@@ -53,22 +54,26 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     ).reset_index()
 
 
+def gather() -> str:
+    """Write results/paper_table.csv and .md from the runs that are finished, and return what the latter says."""
+    finished = [run for run in sorted(RUNS.glob("paper_*")) if is_finished(run)]
+    manifests = [read(run).manifest for run in finished]
+    table = pd.concat([rows(run) for run in finished]).sort_values(["manoeuvre", "seed"], kind="stable")
+    seconds = pd.Series([sum(manifest["seconds"].values()) for manifest in manifests])
+    memory = max(manifest["peak_memory_mb"] for manifest in manifests)
+    text = markdown(summary(table).map(lambda v: f"{v:.3g}" if isinstance(v, float) else str(v)))
+    where = f"{date.today()}, {platform.platform()}, {os.cpu_count()} cores, two runs at a time"
+    times = f"seconds a run: median {seconds.median():.0f}, longest {seconds.max():.0f}; peak memory {memory} MB"
+    RESULTS.mkdir(exist_ok=True)
+    write_text(RESULTS / "paper_table.csv", table.to_csv(index=False))
+    write_text(RESULTS / "paper_table.md", f"{text}\n{where}; {times}.\n")
+    return f"{text}\n{times}"
+
+
 def main() -> None:
     command = [sys.executable, str(ROOT / "scripts" / "run.py"), "experiment=paper_table", *sys.argv[1:]]
     subprocess.run(command, cwd=ROOT, check=True)
-    finished = [run for run in sorted(RUNS.iterdir()) if (run / "table.csv").exists()]
-    table = pd.concat([rows(run) for run in finished]).sort_values(["manoeuvre", "seed"], kind="stable")
-    seconds = [sum(json.loads((run / "manifest.json").read_text())["seconds"].values()) for run in finished]
-    memory = max(json.loads((run / "manifest.json").read_text())["peak_memory_mb"] for run in finished)
-    RESULTS.mkdir(exist_ok=True)
-    table.to_csv(RESULTS / "paper_table.csv", index=False)
-    text = markdown(summary(table).map(lambda v: f"{v:.3g}" if isinstance(v, float) else str(v)))
-    where = f"{date.today()}, {platform.platform()}, {os.cpu_count()} cores, two runs at a time"
-    times = (
-        f"seconds a run: median {pd.Series(seconds).median():.0f}, longest {max(seconds):.0f}; peak memory {memory} MB"
-    )
-    (RESULTS / "paper_table.md").write_text(f"{text}\n\n{where}; {times}.\n")
-    print(text, f"\n{times}")
+    print(gather())
 
 
 if __name__ == "__main__":

@@ -187,7 +187,7 @@ def test_truncated_rounds_reach_the_bound(tmp_path: Path) -> None:
     observed = sim.simulate(truth[None], np.array([0]), stream=Stream.TRUTH)[0][0].astype(float)
     training = Training(batch_size=200, learning_rate=2e-3, max_epochs=100)
     study = Problem(sim, observed, Score(), NeuralSplineFlow(hidden_features=30, num_transforms=2), training)
-    found = infer(study, Truncated(rounds=3, simulations=1500), tmp_path, quiet=True)
+    found = infer(study, Truncated(rounds=5, simulations=1500), tmp_path, quiet=True)
     torch.manual_seed(0)
     samples = draw(found.posterior, sim.space, 4000)
     fit, _ = best_fit(sim, observed, truth[None])
