@@ -103,6 +103,7 @@ def test_the_corrected_loss_finds_the_same_posterior_from_a_proposal_that_is_not
     proposal = proposal.set_default_x(X_O - 1.5 * NOISE)
     torch.manual_seed(7)
     theta = proposal.sample((2000,), show_progress_bars=False).detach()
+    assert isinstance(proposal, DirectPosterior)
     second = Simulations(theta, simulated(theta, 2), proposal)
     if embedded:
         torch.manual_seed(0)
