@@ -18,7 +18,10 @@ STRUCTURED = 1.5  # times the sensor noise, above which a residual is called mis
 
 @dataclass(frozen=True)
 class Predictive:
-    """Quantiles of simulated measurements under the posterior, noise included, and one row of misfit per channel."""
+    """Quantiles of simulated measurements under the posterior, noise included, and one row of misfit per channel.
+
+    Quantiles are NaN where the recording is masked.
+    """
 
     quantiles: Float[np.ndarray, "3 channels time"]
     misfit: pd.DataFrame
@@ -33,6 +36,7 @@ def predictive(simulator: Simulator, observed: Float[np.ndarray, "channels time"
     index = np.arange(min(DRAWS, len(samples)))
     y, outcomes = simulator.simulate(samples[index], index, stream=Stream.PREDICTIVE)
     quantiles = np.quantile(y[succeeded(outcomes)], QUANTILES, axis=0)
+    quantiles = np.where(simulator.windows.valid, quantiles, np.nan)
     mean = simulator.noise_free(samples.mean(axis=0, keepdims=True))[0]
     return Predictive(quantiles, _misfit(simulator, observed, mean, quantiles))
 
