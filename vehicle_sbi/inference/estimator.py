@@ -1,5 +1,6 @@
 """Density estimators: one frozen class for each, over sbi's `posterior_nn`."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -56,12 +57,12 @@ def behind(embedding: nn.Module | None, build: Builder) -> Builder:
     return build_embedded
 
 
-class DensityEstimator:
+class DensityEstimator(ABC):
     """What is configured as `estimator=...`: the conditional density q(theta | x)."""
 
+    @abstractmethod
     def builder(self) -> Builder:
         """A function from (theta, x) to an untrained estimator, z-scored by them, as sbi's trainers want it."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
