@@ -1,6 +1,6 @@
 """The paper's Table II on ten seeds and both amplitudes, each posterior beside its Cramer-Rao bound.
 
-    make bench            about half an hour on two cores; started again, it goes on where it was
+    make bench            about three quarters of an hour on two busy cores; started again, it goes on where it was
 
 Runs `experiment=paper_table` as a user would, then gathers the run folders into results/paper_table.csv (a row per
 run and parameter) and results/paper_table.md (means over seeds, with how often the 90 % interval held the truth).

@@ -6,7 +6,7 @@ from cars import PAPER
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.prior import parameter_space
-from vehicle_sbi.parameters import Parameter, ParameterSpace, box
+from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import RECORD, nominal_record
 
 SPACE = parameter_space(
@@ -45,12 +45,6 @@ def test_prior_std_is_that_of_a_uniform() -> None:
     # The variance of a uniform on (a, b) is (b - a)^2 / 12; that of n draws' variance is 0.8 var^2 / n for a uniform.
     draws = np.random.default_rng(0).uniform(SPACE.low, SPACE.high, (100_000, 3))
     np.testing.assert_allclose(draws.var(axis=0), SPACE.prior_std**2, rtol=5 * np.sqrt(0.8 / 100_000))
-
-
-def test_shares_of_the_box_are_its_corners_and_its_middle() -> None:
-    np.testing.assert_array_equal(box(SPACE, [0.0, 0.0, 0.0]), SPACE.low)
-    np.testing.assert_allclose(box(SPACE, [1.0, 1.0, 1.0]), SPACE.high, rtol=1e-15)
-    np.testing.assert_allclose(box(SPACE, [0.5] * 3), (SPACE.low + SPACE.high) / 2)
 
 
 def test_values_are_taken_by_name_in_any_order() -> None:

@@ -1,6 +1,6 @@
 """Named parameters and their order: the only code that knows which column of theta is what."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -91,8 +91,3 @@ class ParameterSpace:
                     f"{where}: {p.name} = {value:g} {p.unit} lies outside its prior [{p.low:g}, {p.high:g}]"
                 )
         return theta
-
-
-def box(space: ParameterSpace, share: Sequence[float]) -> Float[np.ndarray, " d"]:
-    """The point at the given shares of the prior box, 0 its lower and 1 its upper corner."""
-    return space.low + np.asarray(share) * (space.high - space.low)

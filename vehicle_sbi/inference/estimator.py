@@ -101,7 +101,10 @@ class MaskedAutoregressiveFlow(DensityEstimator):
 
 @dataclass(frozen=True, kw_only=True)
 class MixtureDensityNetwork(DensityEstimator):
-    """Mixture of Gaussians (Bishop 1994); its corrected rounds use sbi's closed-form loss on the last round alone."""
+    """Mixture of Gaussians (Bishop 1994).
+
+    Its corrected rounds use sbi's closed-form loss on the last round; behind an embedding network, the atomic one.
+    """
 
     hidden_features: int = 50
     num_components: int = 10
