@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 from vehicle_sbi.physics.effects import nominal_record
-from vehicle_sbi.physics.single_track import simulate_batch
+from vehicle_sbi.physics.simulation import simulate_batch
 from vehicle_sbi.physics.vehicle import read
 
 SIMULATIONS, SAMPLES, RATE, REPEATS = 5000, 1000, 200.0, 7

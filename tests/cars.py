@@ -7,7 +7,8 @@ import numpy as np
 
 from vehicle_sbi.physics.effects import RECORD, nominal_record
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
-from vehicle_sbi.physics.single_track import DRIVES, FINISHED, simulate_batch
+from vehicle_sbi.physics.simulation import FINISHED, MODELS, simulate_batch
+from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 
 # The constants of the design's closed forms; rigid tyres without relaxation.
@@ -19,6 +20,8 @@ RIGID = Vehicle(
 PAPER = Vehicle(
     name="paper", m=1500.0, L=2.7, l_f=1.3, h_cog=0.5, C_kappa_f=1e5, C_kappa_r=1e5, C_alpha_f=6e4, C_alpha_r=6e4,
     mu=0.9, R_f=0.31, C_vert=2e5, I_wf=3.0, I_wr=3.0, K=1.5e5,
+    track_f=1.5, track_r=1.5, m_s=1350.0, I_x=500.0, I_y=2000.0, h_roll=0.1, h_pitch=0.15, K_roll=7e4, D_roll=6e3,
+    roll_front=0.55, K_pitch=1.1e5, D_pitch=9e3,
 )  # fmt: skip
 
 MILD = (0.06, 600.0, -900.0)  # steering [rad], drive and brake torque [N m]
@@ -26,7 +29,7 @@ STRONG = (0.085, 900.0, -1800.0)
 RATE = 200.0
 
 # Each group of sensors reports something: v_y beside the IMU, yaw rate and speed over CAN, and the wheels.
-REPORTED_BY = ("imu", "imu", "can", "wheel_speed", "wheel_speed", "can", "imu")
+REPORTED_BY = ("imu", "imu", "can", "wheel_speed", "wheel_speed", "can", "imu", "imu", "imu", "imu")
 
 
 def record_of(vehicle: Vehicle, **fields: float) -> np.ndarray:
@@ -38,10 +41,11 @@ def record_of(vehicle: Vehicle, **fields: float) -> np.ndarray:
 
 
 def paper_manoeuvre(size: tuple[float, float, float] = MILD, seconds: float = 5.0) -> np.ndarray:
-    """The paper's drive, inputs (time, 7): sine steering of 4 s, square-wave torque of 5 s, brakes 60 % front."""
+    """The paper's drive, inputs (time, 8): sine steering of 4 s, square-wave torque of 5 s, brakes 60 % front."""
     t = np.arange(round(seconds * RATE)) / RATE
     driving = t % 5.0 < 2.5
-    u = np.zeros((len(t), 7))
+    u = np.zeros((len(t), len(INPUTS)))
+    u[:, -1] = t
     u[:, 0] = size[0] * np.sin(2.0 * math.pi * t / 4.0)
     u[:, 1] = np.where(driving, size[1], 0.6 * size[2])
     u[:, 2] = np.where(driving, 0.0, 0.4 * size[2])
@@ -50,8 +54,9 @@ def paper_manoeuvre(size: tuple[float, float, float] = MILD, seconds: float = 5.
 
 def coasting(v_x: float, seconds: float, rate: float = RATE) -> np.ndarray:
     """No steering, no torque; the recorded speed, where a drive mode reads it, is constant."""
-    u = np.zeros((round(seconds * rate) + 1, 7))
+    u = np.zeros((round(seconds * rate) + 1, len(INPUTS)))
     u[:, 3] = v_x
+    u[:, -1] = np.arange(len(u)) / rate
     return u
 
 
@@ -61,17 +66,19 @@ def simulate(
     u: np.ndarray,
     initial: Sequence[float] | np.ndarray,
     *,
+    model: str = "single_track",
     rate: float = RATE,
     substeps: int = 4,
     stiffness_noise: np.ndarray | None = None,
     input_noise: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """All MEASUREMENTS of n records over one window, (n, 7, time), and their outcomes (n,); u (time, 7)."""
+    """All MEASUREMENTS of n records over one window, (n, 10, time), and their outcomes (n,); u (time, 8)."""
     n = len(records)
     start = np.broadcast_to(np.asarray(initial, dtype=float), (n, 1, 3)).copy()
     y, outcomes = np.empty((n, len(MEASUREMENTS), len(u))), np.full(n, -1)
     simulate_batch(
         records.copy(),
+        MODELS[model],
         DRIVES[drive],
         u[np.newaxis],
         np.zeros((n, 1, 4)) if stiffness_noise is None else stiffness_noise,
@@ -88,7 +95,7 @@ def simulate(
 
 
 def finished(*args: object, **kwargs: object) -> np.ndarray:
-    """`simulate` of one record that must end well: its measurements (7, time)."""
+    """`simulate` of one record that must end well: its measurements (10, time)."""
     y, outcomes = simulate(*args, **kwargs)  # pyright: ignore[reportArgumentType]
     assert outcomes.tolist() == [FINISHED]
     return y[0]

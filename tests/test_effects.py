@@ -22,7 +22,8 @@ from vehicle_sbi.physics.effects import (
     nominal_record,
 )
 from vehicle_sbi.physics.sensors import MEASUREMENTS, MOTION
-from vehicle_sbi.physics.single_track import DRIVES, FINISHED, NOT_FINITE, drive_through, substeps_for
+from vehicle_sbi.physics.single_track import DRIVES
+from vehicle_sbi.physics.simulation import FINISHED, NOT_FINITE, drive_through, substeps_for
 from vehicle_sbi.physics.vehicle import GENERIC_PRIORS
 
 EPS = np.finfo(float).eps

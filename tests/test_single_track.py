@@ -16,16 +16,8 @@ from hypothesis import strategies as st
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, derive
 from vehicle_sbi.physics.sensors import MEASUREMENTS
-from vehicle_sbi.physics.single_track import (
-    DRIVES,
-    NOT_FINITE,
-    SPUN_OUT,
-    STATES,
-    derivatives,
-    fastest_rate,
-    start,
-    substeps_for,
-)
+from vehicle_sbi.physics.single_track import DRIVES, STATES, derivatives, start
+from vehicle_sbi.physics.simulation import NOT_FINITE, SPUN_OUT, fastest_rate, substeps_for
 from vehicle_sbi.physics.vehicle import GENERIC_PRIORS
 
 A_X, A_Y, R, OMEGA_F, OMEGA_R, V_X, V_Y = range(len(MEASUREMENTS))

@@ -51,11 +51,12 @@ class Manoeuvre:
                 "low must not exceed high, and the model holds above 1 m/s"
             )
 
-    def inputs(self, vehicle: Vehicle) -> Float[np.ndarray, "time 7"]:
+    def inputs(self, vehicle: Vehicle) -> Float[np.ndarray, "time 8"]:
         """The inputs in the order of INPUTS, torques split between the axles as the vehicle does."""
         t = np.arange(round(self.duration * self.rate)) / self.rate
         driving = (t % self.torque_period) < self.torque_period / 2
         u = np.zeros((len(t), len(INPUTS)))
+        u[:, INPUTS.index("time")] = t
         u[:, INPUTS.index("steering")] = self.steering_amplitude * np.sin(2 * np.pi * t / self.steering_period)
         for axle, drive, brake in (
             ("torque_front", vehicle.drive_front, vehicle.brake_front),

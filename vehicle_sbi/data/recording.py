@@ -92,7 +92,7 @@ class Windows:
     """
 
     rate: float
-    u: Float[np.ndarray, "windows time 7"]
+    u: Float[np.ndarray, "windows time 8"]
     y: Float[np.ndarray, "channels windows*time"]
     valid: Bool[np.ndarray, "channels windows*time"]
     x0: Float[np.ndarray, "windows 3"]
@@ -242,7 +242,7 @@ class Recording:
         if drive not in NEEDED:
             raise unknown("drive mode", drive, NEEDED, self.source)
         why = f"drive mode '{drive}'"
-        inputs = {name: self._need(name, why)[0] for name in NEEDED[drive]}
+        inputs = {name: self._need(name, why)[0] for name in NEEDED[drive]} | {"time": self.t - self.t[0]}
         if drive == "torque":
             inputs["torque_rear"] = self.channels.get("torque_rear", np.zeros_like(self.t))
         if drive == "speed":

@@ -11,7 +11,7 @@ from sbi.utils import BoxUniform
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
-from vehicle_sbi.physics.vehicle import GENERIC_PRIORS, Vehicle
+from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, Vehicle
 
 DELTA_SCALE = 1e5
 
@@ -32,7 +32,7 @@ DELTAS: Mapping[str, Parameter] = {
     )
 }
 
-KNOWN: Mapping[str, Parameter] = {**GENERIC_PRIORS, **DELTAS, **EFFECT_PARAMETERS}
+KNOWN: Mapping[str, Parameter] = {**GENERIC_PRIORS, **BODY_PRIORS, **DELTAS, **EFFECT_PARAMETERS}
 
 
 def flatten(prior: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -58,7 +58,7 @@ def _bounds(name: str, value: Any) -> tuple[float, float]:
     return low, high
 
 
-def parameter_space(prior: Mapping[str, Any], *, vehicle: Vehicle, effects: Sequence[str] = ()) -> ParameterSpace:
+def parameter_space(prior: Mapping[str, Any], *, vehicle: Vehicle, model: str, effects: Sequence[str] = ()) -> ParameterSpace:
     """The free parameters: those of the prior file, those of the effects, and what the vehicle file leaves out.
 
     Raises InputError for an unknown name, a box with low >= high, or one in which no vehicle exists.
@@ -74,7 +74,7 @@ def parameter_space(prior: Mapping[str, Any], *, vehicle: Vehicle, effects: Sequ
             raise unknown("effect", name, CATALOGUE, "effects")
         free |= {p.name: p for p in CATALOGUE[name].parameters if p.name not in free}
     set_by_prior = {name for p in free.values() for name in p.fields}
-    free |= {name: GENERIC_PRIORS[name] for name in vehicle.missing if name not in set_by_prior}
+    free |= {name: KNOWN[name] for name in vehicle.missing(model) if name not in set_by_prior}
     if not free:
         raise InputError("prior: no parameter is free; state at least one as name: [low, high]")
     space = ParameterSpace(tuple(free.values()))
@@ -90,7 +90,7 @@ def _check_physical(space: ParameterSpace, vehicle: Vehicle) -> None:
         raise InputError(f"prior: l_f up to {l_f:g} m reaches past the wheelbase {wheelbase:g} m")
     for p in space.parameters:
         for name in p.fields:
-            if name not in GENERIC_PRIORS:
+            if name not in {**GENERIC_PRIORS, **BODY_PRIORS}:
                 continue
             nominal = getattr(vehicle, name) if p.relative else 0.0
             if nominal is None:

@@ -16,7 +16,8 @@ from vehicle_sbi.data.recording import Windows
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
-from vehicle_sbi.physics.single_track import DRIVES, FINISHED, simulate_batch
+from vehicle_sbi.physics.simulation import FINISHED, MODELS, simulate_batch
+from vehicle_sbi.physics.single_track import DRIVES
 from vehicle_sbi.rng import Stream, generator
 
 
@@ -48,6 +49,7 @@ class Simulator:
 
     nominal: np.void
     space: ParameterSpace
+    model: str
     drive: str
     windows: Windows
     process: DrawnProcessNoise
@@ -107,6 +109,7 @@ class Simulator:
         outcomes = np.zeros(len(theta), np.int64)
         simulate_batch(
             self.space.records(theta, self.nominal),
+            MODELS[self.model],
             DRIVES[self.drive],
             self.windows.u,
             draws.stiffness,

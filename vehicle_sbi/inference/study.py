@@ -21,7 +21,9 @@ from vehicle_sbi.inference.simulator import Simulator, succeeded
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import nominal_record
-from vehicle_sbi.physics.single_track import DRIVES, substeps_for
+from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS
+from vehicle_sbi.physics.simulation import MODELS, substeps_for
+from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.rng import Stream, generator
 
@@ -39,6 +41,7 @@ class Study:
     """
 
     vehicle: Vehicle
+    model: str
     drive: str
     prior: Mapping[str, Any]
     effects: Sequence[str]
@@ -55,6 +58,8 @@ class Study:
     def __post_init__(self) -> None:
         if self.drive not in DRIVES:
             raise unknown("drive mode", self.drive, DRIVES, "drive")
+        if self.model not in MODELS:
+            raise unknown("model", self.model, MODELS, "model")
         if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
             raise InputError(f"seed = {self.seed!r}; it must be a whole number that is not negative")
         if isinstance(self.recording, RecordingFile) and self.truth is not None:
@@ -62,7 +67,7 @@ class Study:
 
     def prepare(self) -> "Prepared":
         """Load or simulate what is observed, estimate the noise, and put the problem together."""
-        space = parameter_space(self.prior, vehicle=self.vehicle, effects=self.effects)
+        space = parameter_space(self.prior, vehicle=self.vehicle, model=self.model, effects=self.effects)
         if isinstance(self.recording, Synthetic):
             return self._synthetic(space, self.recording)
         return self._recorded(space, self.recording)
@@ -103,9 +108,13 @@ class Study:
         return Problem(simulator, observed, self.features, self.estimator, self.training)
 
     def _simulator(self, space: ParameterSpace, windows: Windows, *, uniform_start: bool) -> Simulator:
+        unseen = [name for name in windows.channels if name in BODY_MEASUREMENTS and self.model != "full_vehicle"]
+        if unseen:
+            raise InputError(f"model={self.model}: it does not predict {', '.join(unseen)}; model=full_vehicle does")
         simulator = Simulator(
-            nominal=nominal_record(self.vehicle),
+            nominal=nominal_record(self.vehicle, duration=float(windows.u[..., INPUTS.index("time")].max())),
             space=space,
+            model=self.model,
             drive=self.drive,
             windows=windows,
             process=self.noise.process.draw(generator(seed=self.seed, stream=Stream.STUDY)),

@@ -2,8 +2,8 @@
 
 Every effect is always compiled in. Each of its parameters has a null value at which the effect vanishes exactly, so a
 model is nothing but the choice of which parameters are free, and models are nested. To add an effect: write its
-function, call it from the stage it enters at (`road_wheel_angle`, `body_force`, `sensors.measure`, ...), and enter it
-in `CATALOGUE`; every law that the tests state for effects then holds for it too.
+function, call it from the stage it enters at (`steer`, `torques`, `body_load`, `tyre_force`, `sensors.measure`, ...),
+and enter it in `CATALOGUE`; every law that the tests state for effects then holds for it too.
 """
 
 import math
@@ -14,28 +14,37 @@ import numpy as np
 from numba import njit
 
 from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.physics.tyre import dugoff
 from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle
+
+EDGE = 0.1  # [s] over which what begins or ends at a moment does so
+KNOTS = 8  # of a profile over the recording, equally spaced
+LEAST_STIFFNESS = 0.05  # share of a stiffness that no load and no acceleration takes away
+PEAK_SHAPE = 1.5  # C of the magic formula that the tyre curve blends into
+RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and Vehicle Dynamics"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """An optional effect: where it enters, what it means, where its equation comes from, its parameters."""
+    """An optional effect: where it enters, what it means, its equation and where that comes from, its parameters."""
 
     name: str
     enters_at: str
     meaning: str
+    equation: str
     source: str
     parameters: tuple[Parameter, ...]
 
 
 def _effect(
-    name: str, enters_at: str, meaning: str, source: str, **parameters: tuple[str, float, float, float]
+    name: str, enters_at: str, meaning: str, equation: str, source: str, **parameters: tuple[str, float, float, float]
 ) -> Effect:
     """An effect with `parameters` as name=(unit, low, high, null); the record's fields are effect_parameter."""
     return Effect(
         name=name,
         enters_at=enters_at,
         meaning=meaning,
+        equation=equation,
         source=source,
         parameters=tuple(
             Parameter(name=f"{name}.{key}", unit=unit, low=low, high=high, null=null, fields=(f"{name}_{key}",))
@@ -47,35 +56,108 @@ def _effect(
 CATALOGUE: Mapping[str, Effect] = {
     effect.name: effect
     for effect in (
-        _effect("steering_delay", "steering", "the wheels follow the command later", "pure dead time",
-                time=("s", 0.0, 0.3, 0.0)),
-        _effect("steering_offset", "steering", "the wheels are not straight at command zero", "alignment",
-                angle=("rad", -0.03, 0.03, 0.0)),
-        _effect("steering_ratio", "steering", "road-wheel angle per stated road-wheel angle", "steering geometry",
-                gain=("1", 0.7, 1.4, 1.0)),
-        _effect("aero_drag", "force", "aerodynamic drag", "Rajamani, Vehicle Dynamics and Control, sec. 4.2",
-                area=("m^2", 0.0, 1.5, 0.0)),
-        _effect("rolling_resistance", "force", "rolling resistance of the tyres",
-                "Rajamani, Vehicle Dynamics and Control, sec. 4.2", coefficient=("1", 0.0, 0.05, 0.0)),
-        _effect("road_grade", "force", "the road climbs (positive uphill)",
-                "Rajamani, Vehicle Dynamics and Control, sec. 4.2", angle=("rad", -0.15, 0.15, 0.0)),
-        _effect("road_bank", "force", "the road's left side is higher (positive)",
-                "Rajamani, Vehicle Dynamics and Control, sec. 2.8", angle=("rad", -0.1, 0.1, 0.0)),
-        _effect("yaw_inertia", "force", "yaw inertia over m l_f l_r", "the paper, sec. II-A",
+        # command to wheels
+        _effect("steering_delay", "command", "the wheels follow the steering command later",
+                "delta(t) = command(t - time)", "pure dead time", time=("s", 0.0, 0.3, 0.0)),
+        _effect("steering_lag", "command", "the wheels follow the steering command as a first-order lag",
+                "time d(delta)/dt = command - delta", "first-order actuator", time=("s", 0.0, 0.5, 0.0)),
+        _effect("steering_dead_band", "command", "play in the steering, full width",
+                "delta stays until the command is width/2 away, then follows at that distance",
+                "the play operator of backlash", width=("rad", 0.0, 0.03, 0.0)),
+        _effect("steering_ratio", "command", "road-wheel angle per stated road-wheel angle",
+                "delta = gain command", "steering geometry", gain=("1", 0.7, 1.4, 1.0)),
+        _effect("steering_offset", "command", "the wheels are not straight at command zero",
+                "delta = command + angle", "alignment", angle=("rad", -0.03, 0.03, 0.0)),
+        _effect("steering_compliance", "command", "the front axle's side force turns the wheels back",
+                "delta = command - coefficient F_yf", f"{PACEJKA}, ch. 1",
+                coefficient=("rad/N", 0.0, 4e-6, 0.0)),
+        _effect("roll_steer", "command", "the front wheels steer as the body rolls in a turn",
+                "delta = command + coefficient v_x r", f"{PACEJKA}, ch. 1",
+                coefficient=("rad/(m/s^2)", -0.003, 0.003, 0.0)),
+        _effect("drive_gain", "command", "drive torque at the wheels per stated drive torque",
+                "T = gain T_command where positive", "powertrain losses", gain=("1", 0.5, 1.5, 1.0)),
+        _effect("brake_gain", "command", "brake torque at the wheels per stated brake torque",
+                "T = gain T_command where negative", "friction of the brake pads", gain=("1", 0.5, 1.5, 1.0)),
+        _effect("brake_balance", "command", "brake torque moved from the rear axle to the front",
+                "T_f = T_f,command + shift (T_f + T_r)_command where both brake", "brake-force distribution",
+                shift=("1", -0.3, 0.3, 0.0)),
+        _effect("drive_delay", "command", "the torques follow their command later",
+                "T(t) = T_command(t - time)", "pure dead time", time=("s", 0.0, 0.5, 0.0)),
+        # forces on the body
+        _effect("aero_drag", "force", "aerodynamic drag", "F_x = -rho/2 area v_x |v_x|",
+                f"{RAJAMANI}, sec. 4.2", area=("m^2", 0.0, 1.5, 0.0)),
+        _effect("downforce", "force", "the air presses the car down",
+                "F_z = rho/2 area v_x^2, front_share of it on the front axle", "definition of a lift coefficient",
+                area=("m^2", 0.0, 4.0, 0.0), front_share=("1", 0.2, 0.8, 0.5)),
+        _effect("rolling_resistance", "force", "rolling resistance of the tyres", "F_x = -coefficient F_z",
+                f"{RAJAMANI}, sec. 4.2", coefficient=("1", 0.0, 0.05, 0.0)),
+        _effect("road_grade", "force", "the road climbs (positive uphill)", "F_x = -m g sin(angle)",
+                f"{RAJAMANI}, sec. 4.2", angle=("rad", -0.15, 0.15, 0.0)),
+        _effect("road_grade_profile", "force", "the road's grade changes over the recording",
+                "grade(t) linear between knots equally spaced from its start to its end",
+                f"{RAJAMANI}, sec. 4.2", **{f"angle_{i}": ("rad", -0.1, 0.1, 0.0) for i in range(KNOTS)}),
+        _effect("road_bank", "force", "the road's left side is higher (positive)", "F_y = -m g sin(angle)",
+                f"{RAJAMANI}, sec. 2.8", angle=("rad", -0.1, 0.1, 0.0)),
+        _effect("crosswind", "force", "steady side wind, acting ahead of the centre of gravity",
+                "F_y = force, M_z = arm force", "a force and its lever",
+                force=("N", -1500.0, 1500.0, 0.0), arm=("m", -1.0, 1.0, 0.0)),
+        _effect("gust", "force", "side wind for a while, acting ahead of the centre of gravity",
+                "F_y = force, M_z = arm force from start on for duration", "a force and its lever",
+                force=("N", -3000.0, 3000.0, 0.0), arm=("m", -1.0, 1.0, 0.0),
+                start=("s", 0.0, 5.0, 0.0), duration=("s", 0.0, 5.0, 0.0)),
+        _effect("payload", "force", "load ahead of the empty car's centre of gravity",
+                "m, l_f and I_z of the two together", "parallel-axis theorem",
+                mass=("kg", 0.0, 500.0, 0.0), x=("m", -1.5, 1.5, 0.0)),
+        _effect("yaw_inertia", "force", "yaw inertia over m l_f l_r", "I_z = factor m l_f l_r", "the paper, sec. II-A",
                 factor=("1", 0.7, 1.5, 1.0)),
-        _effect("friction_level", "tyre", "friction coefficient over the vehicle's", "Dugoff's mu",
-                factor=("1", 0.3, 1.3, 1.0)),
-        _effect("accelerometer_bias", "sensor", "constant offset of the accelerometer", "sensor model",
-                x=("m/s^2", -0.6, 0.6, 0.0), y=("m/s^2", -0.6, 0.6, 0.0)),
-        _effect("gyro_bias", "sensor", "constant offset of the yaw-rate sensor", "sensor model",
-                z=("rad/s", -0.03, 0.03, 0.0)),
+        _effect("yaw_moment", "force", "constant moment about the vertical axis", "M_z = moment", "Newton and Euler",
+                moment=("N m", -1500.0, 1500.0, 0.0)),
+        # tyres
+        _effect("friction_level", "tyre", "friction coefficient over the vehicle's", "mu = factor mu_vehicle",
+                "Dugoff's mu", factor=("1", 0.3, 1.3, 1.0)),
+        _effect("friction_step", "tyre", "another friction coefficient for a while",
+                "mu = factor mu_vehicle from start on for duration", "Dugoff's mu",
+                factor=("1", 0.3, 1.3, 1.0), start=("s", 0.0, 5.0, 0.0), duration=("s", 0.0, 5.0, 0.0)),
+        _effect("load_sensitivity", "tyre", "stiffnesses grow with the vertical load",
+                "C = C_static (1 + coefficient (F_z / F_z,static - 1))", f"{PACEJKA}, ch. 1",
+                coefficient=("1", 0.0, 1.0, 0.0)),
+        _effect("lateral_load_transfer", "tyre", "an axle loses cornering stiffness as load moves to its outer wheel",
+                "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2)", f"{PACEJKA}, ch. 1",
+                coefficient=("1/(m/s^2)^2", 0.0, 0.01, 0.0)),
+        _effect("tyre_curve", "tyre", "tyre forces peak and fall, instead of saturating",
+                "F = F_Dugoff + peak (sin(3/2 atan(2/3 z)) mu F_z - F_Dugoff), z = demand over grip",
+                f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0)),
+        _effect("relaxation", "tyre", "relaxation length over C_alpha / K", "sigma = factor C_alpha / K",
+                "the paper's equation 11", factor=("1", 0.2, 3.0, 1.0)),
+        _effect("wheel_radius", "tyre", "free tyre radii over the vehicle's", "R = factor R_f", "wear and pressure",
+                front=("1", 0.9, 1.1, 1.0), rear=("1", 0.9, 1.1, 1.0)),
+        # sensors
         _effect("body_roll", "sensor", "the body leans outwards and gravity leaks into a_y",
-                "Rajamani, Vehicle Dynamics and Control, sec. 15.2",
+                "a_y = a_y cos(roll) + g sin(roll), lag d(roll)/dt = gradient a_y - roll", f"{RAJAMANI}, sec. 15.2",
+                gradient=("rad/(m/s^2)", 0.0, 0.02, 0.0), lag=("s", 0.0, 0.3, 0.0)),
+        _effect("body_pitch", "sensor", "the nose lifts under acceleration and gravity leaks into a_x",
+                "a_x = a_x cos(pitch) - g sin(pitch), lag d(pitch)/dt = -gradient a_x - pitch",
+                f"{RAJAMANI}, sec. 15.2",
                 gradient=("rad/(m/s^2)", 0.0, 0.02, 0.0), lag=("s", 0.0, 0.3, 0.0)),
         _effect("imu_lever_arm", "sensor", "the IMU sits away from the centre of gravity",
-                "rigid-body kinematics: a + dw/dt x p + w x (w x p)",
-                x=("m", -1.5, 1.5, 0.0), y=("m", -0.8, 0.8, 0.0)),
-        _effect("sensor_delay", "sensor", "a group of sensors reports later", "pure dead time",
+                "a = a_COG + dw/dt x p + w x (w x p)", "rigid-body kinematics",
+                x=("m", -1.5, 1.5, 0.0), y=("m", -0.8, 0.8, 0.0), z=("m", -0.5, 1.0, 0.0)),
+        _effect("imu_misalignment", "sensor", "the IMU's axes are turned against the car's",
+                "f_IMU = R_x(roll)' R_y(pitch)' R_z(yaw)' f", "rotation by Tait-Bryan angles",
+                roll=("rad", -0.1, 0.1, 0.0), pitch=("rad", -0.1, 0.1, 0.0), yaw=("rad", -0.1, 0.1, 0.0)),
+        _effect("accelerometer_scale", "sensor", "gain of the accelerometer", "a = gain a", "sensor model",
+                x=("1", 0.8, 1.2, 1.0), y=("1", 0.8, 1.2, 1.0)),
+        _effect("accelerometer_bias", "sensor", "constant offset of the accelerometer", "a = a + bias", "sensor model",
+                x=("m/s^2", -0.6, 0.6, 0.0), y=("m/s^2", -0.6, 0.6, 0.0)),
+        _effect("gyro_scale", "sensor", "gain of the yaw-rate sensor", "r = gain r", "sensor model",
+                z=("1", 0.8, 1.2, 1.0)),
+        _effect("gyro_bias", "sensor", "constant offset of the yaw-rate sensor", "r = r + bias", "sensor model",
+                z=("rad/s", -0.03, 0.03, 0.0)),
+        _effect("sensor_lag", "sensor", "a group of sensors reports through a first-order lag",
+                "time dy/dt = signal - y", "first-order filter",
+                imu=("s", 0.0, 0.3, 0.0), can=("s", 0.0, 0.3, 0.0), wheel_speed=("s", 0.0, 0.3, 0.0)),
+        _effect("sensor_delay", "sensor", "a group of sensors reports later", "y(t) = signal(t - time)",
+                "pure dead time",
                 imu=("s", 0.0, 0.2, 0.0), can=("s", 0.0, 0.2, 0.0), wheel_speed=("s", 0.0, 0.2, 0.0)),
     )
 }  # fmt: skip
@@ -85,20 +167,25 @@ _EFFECT_FIELDS = tuple(name for p in EFFECT_PARAMETERS.values() for name in p.fi
 
 # What follows from the others and stays constant over a simulation; `derive` fills it.
 _DERIVED = (
-    "l_r", "I_z", "grip", "F_zf_static", "F_zr_static", "load_transfer", "sigma_f", "sigma_r",
-    "grade_force", "bank_force", "grade_gravity", "bank_gravity",
+    "mass", "l_front", "l_rear", "I_z", "grip", "F_zf_static", "F_zr_static", "load_transfer",
+    "sigma_f", "sigma_r", "R_front", "R_rear", "grade_gravity", "bank_gravity", "profiled",
+    "roll_arm", "pitch_arm", "roll_J", "pitch_J",
 )  # fmt: skip
 
-RECORD = np.dtype([(name, np.float64) for name in (*CONSTANTS, "I_z_stated", *_EFFECT_FIELDS, *_DERIVED)])
+RECORD = np.dtype([(name, np.float64) for name in (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *_DERIVED)])
 
 
-def nominal_record(vehicle: Vehicle) -> np.void:
-    """The physical record of a vehicle with every effect at its null; NaN where a constant is not known."""
+def nominal_record(vehicle: Vehicle, duration: float = 0.0) -> np.void:
+    """The physical record of a vehicle with every effect at its null; NaN where a constant is not known.
+
+    `duration` [s] is the recording's, over which a profile's knots are spread.
+    """
     record = np.full(1, np.nan, dtype=RECORD)
     for name in CONSTANTS:
         value = getattr(vehicle, name)
         record[name] = np.nan if value is None else value
     record["I_z_stated"] = vehicle.I_z or 0.0
+    record["duration"] = duration
     for parameter in EFFECT_PARAMETERS.values():
         for name in parameter.fields:
             record[name] = parameter.null
@@ -109,23 +196,30 @@ def nominal_record(vehicle: Vehicle) -> np.void:
 def derive(p) -> None:
     """Fill the derived fields of the record.
 
-    I_z = factor m l_f l_r unless the vehicle file states it; static loads m g l_r/L and m g l_f/L across a graded or
-    banked road, on which gravity along x shifts load as an acceleration does (Rajamani, sec. 4.2); load transfer m h/L
-    [N per m/s^2]; relaxation length sigma = C_alpha / K [m] (the paper's sec. II and equation 11).
+    Mass, its place and I_z = factor m l_f l_r (unless the vehicle file states it) with the payload; static loads
+    m g l_r/L and m g l_f/L across a graded or banked road; load transfer m h/L [N per m/s^2]; relaxation lengths
+    sigma = factor C_alpha / K [m] (the paper's sec. II and equation 11); arms of the sprung mass about the roll and
+    pitch axes [m] with its moments of inertia about them [kg m^2].
     """
-    p.l_r = p.L - p.l_f
-    p.I_z = yaw_inertia(p, p.I_z_stated if p.I_z_stated > 0.0 else p.m * p.l_f * p.l_r)
+    p.mass, p.l_front, carried = payload(p)
+    p.l_rear = p.L - p.l_front
+    p.I_z = carried + yaw_inertia(p, p.I_z_stated if p.I_z_stated > 0.0 else p.m * p.l_f * (p.L - p.l_f))
     p.grip = friction_level(p, p.mu)
-    weight = p.m * GRAVITY * math.cos(p.road_grade_angle) * math.cos(p.road_bank_angle)
-    p.sigma_f = p.C_alpha_f / p.K
-    p.sigma_r = p.C_alpha_r / p.K
+    weight = p.mass * GRAVITY * math.cos(p.road_grade_angle) * math.cos(p.road_bank_angle)
+    p.sigma_f = relaxation(p, p.C_alpha_f / p.K)
+    p.sigma_r = relaxation(p, p.C_alpha_r / p.K)
+    p.R_front, p.R_rear = wheel_radius(p)
     p.grade_gravity = GRAVITY * math.sin(p.road_grade_angle)
     p.bank_gravity = GRAVITY * math.sin(p.road_bank_angle)
-    p.load_transfer = p.m * p.h_cog / p.L
-    p.F_zf_static = weight * p.l_r / p.L - p.load_transfer * p.grade_gravity
-    p.F_zr_static = weight * p.l_f / p.L + p.load_transfer * p.grade_gravity
-    p.grade_force = road_grade(p)
-    p.bank_force = road_bank(p)
+    p.profiled = 0.0
+    for angle in profile_knots(p):
+        p.profiled += abs(angle)
+    p.load_transfer = p.mass * p.h_cog / p.L
+    p.F_zf_static = weight * p.l_rear / p.L
+    p.F_zr_static = weight * p.l_front / p.L
+    p.roll_arm, p.pitch_arm = p.h_cog - p.h_roll, p.h_cog - p.h_pitch
+    p.roll_J = p.I_x + p.m_s * p.roll_arm**2
+    p.pitch_J = p.I_y + p.m_s * p.pitch_arm**2
 
 
 @njit(cache=True)
@@ -142,9 +236,44 @@ def interpolate(signal, position: float) -> float:
 
 
 @njit(cache=True)
+def follow(lag: float, rate: float) -> float:
+    """Share of the way to its input that a first-order lag [s] goes in a sample; 1 without a lag."""
+    return 1.0 - math.exp(-1.0 / (rate * lag)) if lag > 0.0 else 1.0
+
+
+@njit(cache=True)
+def rise(t: float) -> float:
+    """0 before t = 0, 1 after EDGE, a smooth cubic between."""
+    share = min(max(t / EDGE, 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+@njit(cache=True)
+def pulse(t: float, start: float, duration: float) -> float:
+    """1 from `start` on for `duration` [s], with smooth edges; 0 everywhere where it lasts no time."""
+    return rise(t - start) - rise(t - start - duration) if duration > 0.0 else 0.0
+
+
+# --- command to wheels ----------------------------------------------------------------------------------------------
+
+
+@njit(cache=True)
 def steering_delay(p, command, k: int, rate: float) -> float:
     """The command [rad] that the wheels follow at sample k, `time` seconds old."""
     return interpolate(command, k - p.steering_delay_time * rate)
+
+
+@njit(cache=True)
+def steering_lag(p, delta: float, command: float, rate: float) -> float:
+    """The angle [rad] a sample after `delta` on its way to the command, a first-order lag of `time`."""
+    return delta + follow(p.steering_lag_time, rate) * (command - delta)
+
+
+@njit(cache=True)
+def steering_dead_band(p, delta: float, command: float) -> float:
+    """The angle [rad] after `delta` behind a play of `width`: it moves only where the command pushes it."""
+    half = 0.5 * p.steering_dead_band_width
+    return min(max(delta, command - half), command + half)
 
 
 @njit(cache=True)
@@ -160,9 +289,62 @@ def steering_offset(p, delta: float) -> float:
 
 
 @njit(cache=True)
-def road_wheel_angle(p, command, k: int, rate: float) -> float:
-    """What the front wheels do [rad] with the steering command at sample k: the steering effects in their order."""
-    return steering_offset(p, steering_ratio(p, steering_delay(p, command, k, rate)))
+def steer(p, command, rate: float, out) -> None:
+    """Fill `out` with what the front wheels do [rad] on a command (time,): the steering effects in their order."""
+    lagged = played = steering_delay(p, command, 0, rate)
+    for k in range(len(command)):
+        delayed = steering_delay(p, command, k, rate)
+        lagged = steering_lag(p, lagged, delayed, rate) if p.steering_lag_time > 0.0 else delayed
+        played = steering_dead_band(p, played, lagged)
+        out[k] = steering_offset(p, steering_ratio(p, played))
+
+
+@njit(cache=True)
+def steering_compliance(p, F_yf: float) -> float:
+    """Angle [rad] by which the front axle's side force [N] turns the wheels back."""
+    return p.steering_compliance_coefficient * F_yf
+
+
+@njit(cache=True)
+def roll_steer(p, a_y: float) -> float:
+    """Angle [rad] that the front wheels steer as the body rolls under a steady lateral acceleration [m/s^2]."""
+    return p.roll_steer_coefficient * a_y
+
+
+@njit(cache=True)
+def drive_gain(p, torque: float) -> float:
+    """Axle torque [N m], drive torque being off by a gain."""
+    return p.drive_gain_gain * torque if torque > 0.0 else torque
+
+
+@njit(cache=True)
+def brake_gain(p, torque: float) -> float:
+    """Axle torque [N m], brake torque being off by a gain."""
+    return p.brake_gain_gain * torque if torque < 0.0 else torque
+
+
+@njit(cache=True)
+def brake_balance(p, front: float, rear: float) -> tuple[float, float]:
+    """Axle torques [N m] with a share of the sum moved to the front axle while neither drives."""
+    moved = p.brake_balance_shift * (front + rear) if front <= 0.0 and rear <= 0.0 else 0.0
+    return front + moved, rear - moved
+
+
+@njit(cache=True)
+def drive_delay(p, command, k: int, rate: float) -> float:
+    """The torque command [N m] that acts at sample k, `time` seconds old."""
+    return interpolate(command, k - p.drive_delay_time * rate)
+
+
+@njit(cache=True)
+def torques(p, front, rear, k: int, rate: float) -> tuple[float, float]:
+    """Axle torques [N m] that act at sample k of the commands `front` and `rear` (time,)."""
+    T_f, T_r = drive_delay(p, front, k, rate), drive_delay(p, rear, k, rate)
+    T_f, T_r = brake_balance(p, T_f, T_r)
+    return brake_gain(p, drive_gain(p, T_f)), brake_gain(p, drive_gain(p, T_r))
+
+
+# --- forces on the body ---------------------------------------------------------------------------------------------
 
 
 @njit(cache=True)
@@ -172,27 +354,76 @@ def aero_drag(p, v_x: float) -> float:
 
 
 @njit(cache=True)
+def downforce(p, v_x: float) -> tuple[float, float]:
+    """What the air adds to the loads (front, rear) [N], 1/2 rho C_l A v^2 in all."""
+    pressed = 0.5 * AIR_DENSITY * p.downforce_area * v_x * v_x
+    return p.downforce_front_share * pressed, (1.0 - p.downforce_front_share) * pressed
+
+
+@njit(cache=True)
 def rolling_resistance(p, v_x: float) -> float:
     """Rolling resistance [N] along x, -c_rr F_z (Rajamani, sec. 4.2), fading linearly below 1 m/s to zero at rest."""
     return -p.rolling_resistance_coefficient * (p.F_zf_static + p.F_zr_static) * min(1.0, max(-1.0, v_x))
 
 
 @njit(cache=True)
-def road_grade(p) -> float:
-    """Gravity along x [N], -m g sin(grade); vanishes at angle 0."""
-    return -p.m * GRAVITY * math.sin(p.road_grade_angle)
+def profile_knots(p):
+    """Grades [rad] at the knots of the profile."""
+    return (
+        p.road_grade_profile_angle_0,
+        p.road_grade_profile_angle_1,
+        p.road_grade_profile_angle_2,
+        p.road_grade_profile_angle_3,
+        p.road_grade_profile_angle_4,
+        p.road_grade_profile_angle_5,
+        p.road_grade_profile_angle_6,
+        p.road_grade_profile_angle_7,
+    )
+
+
+@njit(cache=True)
+def road_grade_profile(p, t: float) -> float:
+    """Grade [rad] at time t [s] of the recording, linear between knots spread over its duration."""
+    knots = profile_knots(p)
+    position = min(max(t / p.duration, 0.0), 1.0) * (KNOTS - 1) if p.duration > 0.0 else 0.0
+    k = min(int(position), KNOTS - 2)
+    return knots[k] + (position - k) * (knots[k + 1] - knots[k])
+
+
+@njit(cache=True)
+def road_grade(p, t: float) -> float:
+    """Gravity along x [m/s^2], g sin(grade), which slows the car uphill; vanishes at angle 0."""
+    if p.profiled == 0.0:
+        return p.grade_gravity
+    return GRAVITY * math.sin(p.road_grade_angle + road_grade_profile(p, t))
 
 
 @njit(cache=True)
 def road_bank(p) -> float:
-    """Gravity along y [N], -m g sin(bank): the raised left side pulls to the right."""
-    return -p.m * GRAVITY * math.sin(p.road_bank_angle)
+    """Gravity along y [m/s^2], g sin(bank): the raised left side pulls to the right."""
+    return p.bank_gravity
 
 
 @njit(cache=True)
-def body_force(p, v_x: float) -> tuple[float, float]:
-    """Sum of the optional forces (x, y) [N] on the body."""
-    return aero_drag(p, v_x) + rolling_resistance(p, v_x) + p.grade_force, p.bank_force
+def crosswind(p) -> tuple[float, float]:
+    """Side force [N] and yaw moment [N m] of a steady wind."""
+    return p.crosswind_force, p.crosswind_arm * p.crosswind_force
+
+
+@njit(cache=True)
+def gust(p, t: float) -> tuple[float, float]:
+    """Side force [N] and yaw moment [N m] of a wind that blows from `start` on for `duration`."""
+    force = p.gust_force * pulse(t, p.gust_start, p.gust_duration)
+    return force, p.gust_arm * force
+
+
+@njit(cache=True)
+def payload(p) -> tuple[float, float, float]:
+    """Mass [kg], front axle to centre of gravity [m] and added yaw inertia [kg m^2] with a load at x from the empty
+    car's centre of gravity (parallel-axis theorem)."""
+    mass = p.m + p.payload_mass
+    share = p.payload_mass / mass
+    return mass, p.l_f - share * p.payload_x, share * p.m * p.payload_x**2
 
 
 @njit(cache=True)
@@ -202,6 +433,80 @@ def yaw_inertia(p, I_z: float) -> float:
 
 
 @njit(cache=True)
+def yaw_moment(p) -> float:
+    """Constant moment [N m] about the vertical axis."""
+    return p.yaw_moment_moment
+
+
+@njit(cache=True)
+def body_load(p, v_x: float, t: float) -> tuple[float, float, float]:
+    """Sum of the optional forces (x, y) [N] and moments about z [N m] on the body at time t [s]."""
+    wind, wind_moment = crosswind(p)
+    blow, blow_moment = gust(p, t)
+    along = aero_drag(p, v_x) + rolling_resistance(p, v_x) - p.mass * road_grade(p, t)
+    return along, wind + blow - p.mass * road_bank(p), wind_moment + blow_moment + yaw_moment(p)
+
+
+# --- tyres ----------------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True)
 def friction_level(p, mu: float) -> float:
     """Friction coefficient where the road's differs from the vehicle file's by a factor."""
     return p.friction_level_factor * mu
+
+
+@njit(cache=True)
+def friction_step(p, mu: float, t: float) -> float:
+    """Friction coefficient at time t [s], off by a factor from `start` on for `duration`."""
+    return mu * (1.0 + (p.friction_step_factor - 1.0) * pulse(t, p.friction_step_start, p.friction_step_duration))
+
+
+@njit(cache=True)
+def load_sensitivity(p, load: float) -> float:
+    """Factor on the stiffnesses at a vertical load in units of the static one."""
+    return max(1.0 + p.load_sensitivity_coefficient * (load - 1.0), LEAST_STIFFNESS)
+
+
+@njit(cache=True)
+def lateral_load_transfer(p, a_y: float) -> float:
+    """Factor on the cornering stiffness of an axle at a steady lateral acceleration [m/s^2]."""
+    return max(1.0 - p.lateral_load_transfer_coefficient * a_y * a_y, LEAST_STIFFNESS)
+
+
+@njit(cache=True)
+def tyre_curve(p, z: float) -> float:
+    """Factor on Dugoff's force at demand over grip z: a blend towards sin(C atan(z/C)), which peaks (Pacejka,
+    sec. 4.3), in place of z below the knee at 1/2 and 1 - 1/(4 z) beyond it."""
+    if p.tyre_curve_peak == 0.0 or z == 0.0:
+        return 1.0
+    saturating = z if z <= 0.5 else 1.0 - 0.25 / z
+    peaking = math.sin(PEAK_SHAPE * math.atan(z / PEAK_SHAPE))
+    return 1.0 + p.tyre_curve_peak * (peaking / saturating - 1.0)
+
+
+@njit(cache=True)
+def relaxation(p, sigma: float) -> float:
+    """Relaxation length [m] where C_alpha / K is off by a factor."""
+    return p.relaxation_factor * sigma
+
+
+@njit(cache=True)
+def wheel_radius(p) -> tuple[float, float]:
+    """Free radii [m] of the front and rear tyres, off by a factor each."""
+    return p.wheel_radius_front * p.R_f, p.wheel_radius_rear * p.R_f
+
+
+@njit(cache=True)
+def tyre_force(
+    p, C_kappa: float, C_alpha: float, mu: float, F_z: float, load: float, kappa: float, tan_alpha: float, a_y: float
+) -> tuple[float, float]:
+    """Forces (F_x, F_y) [N] of a tyre or an axle under F_z [N], `load` times its static one, with the tyre effects."""
+    stiffness = load_sensitivity(p, load)
+    C_kappa, C_alpha = stiffness * C_kappa, stiffness * lateral_load_transfer(p, a_y) * C_alpha
+    F_x, F_y = dugoff(C_kappa, C_alpha, mu, F_z, kappa, tan_alpha)
+    if p.tyre_curve_peak == 0.0:
+        return F_x, F_y
+    demand = math.sqrt((C_kappa * kappa) ** 2 + (C_alpha * tan_alpha) ** 2)
+    factor = tyre_curve(p, demand / max(mu * max(F_z, 0.0) * (1.0 + kappa), 1e-9))
+    return factor * F_x, factor * F_y

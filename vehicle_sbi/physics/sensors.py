@@ -8,49 +8,118 @@ import math
 
 from numba import njit
 
-from vehicle_sbi.physics.effects import interpolate
+from vehicle_sbi.physics.effects import follow, interpolate, road_bank, road_grade
 from vehicle_sbi.physics.vehicle import GRAVITY
 
-# Columns of the motion that the integrator records at each sample.
-MOTION = ("v_x", "v_y", "r", "a_x", "a_y", "r_dot", "omega_f", "omega_r")
-V_X, V_Y, R, A_X, A_Y, R_DOT, OMEGA_F, OMEGA_R = range(len(MOTION))
+# Columns of the motion that the integrator records at each sample: that of the body's centre of gravity, its attitude
+# against the road, and the axles' mean wheel speeds.
+MOTION = (
+    "v_x", "v_y", "r", "a_x", "a_y", "r_dot", "omega_f", "omega_r",
+    "roll", "pitch", "roll_rate", "pitch_rate", "roll_acceleration", "pitch_acceleration",
+)  # fmt: skip
+V_X, V_Y, R, A_X, A_Y, R_DOT, OMEGA_F, OMEGA_R, ROLL, PITCH, P, Q, P_DOT, Q_DOT = range(len(MOTION))
 
 # What can be measured, in the order of the rows that `measure` fills.
-MEASUREMENTS = ("a_x", "a_y", "yaw_rate", "wheel_speed_front", "wheel_speed_rear", "v_x", "v_y")
+MEASUREMENTS = (
+    "a_x", "a_y", "yaw_rate", "wheel_speed_front", "wheel_speed_rear", "v_x", "v_y", "a_z", "roll_rate", "pitch_rate",
+)  # fmt: skip
+BODY_MEASUREMENTS = ("a_z", "roll_rate", "pitch_rate")  # which a model without roll and pitch does not predict
 GROUPS = ("imu", "can", "wheel_speed")
 
 
 @njit(cache=True)
-def lever_arm(p, a_x: float, a_y: float, r: float, r_dot: float) -> tuple[float, float]:
-    """Accelerations [m/s^2] at (x, y) from the centre of gravity: a + dw/dt x p + w x (w x p) with w = (0, 0, r)."""
-    x, y = p.imu_lever_arm_x, p.imu_lever_arm_y
-    return a_x - r * r * x - r_dot * y, a_y + r_dot * x - r * r * y
+def lever_arm(p, a_x: float, a_y: float, w_x: float, w_y: float, r: float, dw_x: float, dw_y: float, r_dot: float):
+    """Acceleration [m/s^2] at (x, y, z) from the centre of gravity: a + dw/dt x p + w x (w x p) with a_z = 0."""
+    x, y, z = p.imu_lever_arm_x, p.imu_lever_arm_y, p.imu_lever_arm_z
+    along = w_x * x + w_y * y + r * z
+    square = w_x * w_x + w_y * w_y + r * r
+    return (
+        a_x + dw_y * z - r_dot * y + w_x * along - square * x,
+        a_y + r_dot * x - dw_x * z + w_y * along - square * y,
+        dw_x * y - dw_y * x + r * along - square * z,
+    )
 
 
 @njit(cache=True)
-def leaned(a_y: float, roll: float) -> float:
-    """Lateral specific force [m/s^2] that a sensor rolled outwards by `roll` [rad] reads."""
-    return a_y * math.cos(roll) + GRAVITY * math.sin(roll)
+def tilted(f_x: float, f_y: float, f_z: float, roll: float, pitch: float) -> tuple[float, float, float]:
+    """A vector (road axes) in the axes of a body at `roll` and `pitch` [rad]: R_x(roll)' R_y(pitch)' f."""
+    if pitch != 0.0:
+        sine, cosine = math.sin(pitch), math.cos(pitch)
+        f_x, f_z = cosine * f_x - sine * f_z, sine * f_x + cosine * f_z
+    if roll != 0.0:
+        sine, cosine = math.sin(roll), math.cos(roll)
+        f_y, f_z = cosine * f_y + sine * f_z, cosine * f_z - sine * f_y
+    return f_x, f_y, f_z
 
 
 @njit(cache=True)
-def measure(p, motion, rate: float, y) -> None:
-    """Fill y (7, time) with MEASUREMENTS from motion (time, 8), before any delay or noise.
+def imu_misalignment(p, f_x: float, f_y: float, f_z: float) -> tuple[float, float, float]:
+    """A vector (body axes) in the axes of an IMU that is turned by yaw, then pitch, then roll."""
+    yaw = p.imu_misalignment_yaw
+    if yaw != 0.0:
+        sine, cosine = math.sin(yaw), math.cos(yaw)
+        f_x, f_y = cosine * f_x + sine * f_y, cosine * f_y - sine * f_x
+    return tilted(f_x, f_y, f_z, p.imu_misalignment_roll, p.imu_misalignment_pitch)
 
-    Roll is gradient * a_y behind a first-order lag, discretised exactly for a_y held over a sample.
-    """
-    follow = 1.0 if p.body_roll_lag <= 0.0 else 1.0 - math.exp(-1.0 / (rate * p.body_roll_lag))
-    roll = p.body_roll_gradient * motion[0, A_Y]
+
+@njit(cache=True)
+def body_roll(p, roll: float, a_y: float, rate: float) -> float:
+    """Roll angle [rad] a sample after `roll`, gradient * a_y behind a first-order lag."""
+    return roll + follow(p.body_roll_lag, rate) * (p.body_roll_gradient * a_y - roll)
+
+
+@njit(cache=True)
+def body_pitch(p, pitch: float, a_x: float, rate: float) -> float:
+    """Pitch angle [rad], nose down, a sample after `pitch`: -gradient * a_x behind a first-order lag."""
+    return pitch + follow(p.body_pitch_lag, rate) * (-p.body_pitch_gradient * a_x - pitch)
+
+
+@njit(cache=True)
+def accelerometer_scale(p, a_x: float, a_y: float) -> tuple[float, float]:
+    """Readings [m/s^2] of an accelerometer with a gain on each axis."""
+    return p.accelerometer_scale_x * a_x, p.accelerometer_scale_y * a_y
+
+
+@njit(cache=True)
+def accelerometer_bias(p, a_x: float, a_y: float) -> tuple[float, float]:
+    """Readings [m/s^2] of an accelerometer with a constant offset on each axis."""
+    return a_x + p.accelerometer_bias_x, a_y + p.accelerometer_bias_y
+
+
+@njit(cache=True)
+def gyro_scale(p, r: float) -> float:
+    """Reading [rad/s] of a yaw-rate sensor with a gain."""
+    return p.gyro_scale_z * r
+
+
+@njit(cache=True)
+def gyro_bias(p, r: float) -> float:
+    """Reading [rad/s] of a yaw-rate sensor with a constant offset."""
+    return r + p.gyro_bias_z
+
+
+@njit(cache=True)
+def measure(p, motion, t, rate: float, y) -> None:
+    """Fill y (10, time) with MEASUREMENTS from motion (time, 14) at times t [s], before any lag, delay or noise."""
+    lean = p.body_roll_gradient * motion[0, A_Y]
+    dive = -p.body_pitch_gradient * motion[0, A_X]
     for k in range(motion.shape[0]):
-        roll += follow * (p.body_roll_gradient * motion[k, A_Y] - roll)
-        a_x, a_y = lever_arm(p, motion[k, A_X], motion[k, A_Y], motion[k, R], motion[k, R_DOT])
-        y[0, k] = a_x + p.grade_gravity + p.accelerometer_bias_x
-        y[1, k] = leaned(a_y + p.bank_gravity, roll) + p.accelerometer_bias_y
-        y[2, k] = motion[k, R] + p.gyro_bias_z
+        a_x, a_y, r = motion[k, A_X], motion[k, A_Y], motion[k, R]
+        w_x, w_y = motion[k, P], motion[k, Q]
+        lean, dive = body_roll(p, lean, a_y, rate), body_pitch(p, dive, a_x, rate)
+        f_x, f_y, f_z = lever_arm(p, a_x, a_y, w_x, w_y, r, motion[k, P_DOT], motion[k, Q_DOT], motion[k, R_DOT])
+        f_x, f_y, f_z = f_x + road_grade(p, t[k]), f_y + road_bank(p), f_z + GRAVITY
+        f_x, f_y, f_z = tilted(f_x, f_y, f_z, motion[k, ROLL] + lean, motion[k, PITCH] + dive)
+        f_x, f_y, f_z = imu_misalignment(p, f_x, f_y, f_z)
+        w_x, w_y, w_z = imu_misalignment(p, w_x, w_y, r)
+        f_x, f_y = accelerometer_scale(p, f_x, f_y)
+        y[0, k], y[1, k] = accelerometer_bias(p, f_x, f_y)
+        y[2, k] = gyro_bias(p, gyro_scale(p, w_z))
         y[3, k] = motion[k, OMEGA_F]
         y[4, k] = motion[k, OMEGA_R]
         y[5, k] = motion[k, V_X]
         y[6, k] = motion[k, V_Y]
+        y[7, k], y[8, k], y[9, k] = f_z, w_x, w_y
 
 
 @njit(cache=True)
@@ -64,8 +133,23 @@ def sensor_delay(p, group: int) -> float:
 
 
 @njit(cache=True)
+def sensor_lag(p, group: int) -> float:
+    """First-order lag [s] of a group of sensors, an index into GROUPS."""
+    if group == 0:
+        return p.sensor_lag_imu
+    if group == 1:
+        return p.sensor_lag_can
+    return p.sensor_lag_wheel_speed
+
+
+@njit(cache=True)
 def report(p, signal, group: int, rate: float, out) -> None:
-    """Write one channel to `out` as its group of sensors reports it: `sensor_delay` seconds old."""
-    shift = sensor_delay(p, group) * rate
+    """Write one channel (time,) to `out` as its group of sensors reports it: through its lag, then later."""
+    lag, shift = sensor_lag(p, group), sensor_delay(p, group) * rate
+    if lag > 0.0:
+        share, value = follow(lag, rate), signal[0]
+        for k in range(len(signal)):
+            value += share * (signal[k] - value)
+            signal[k] = value
     for k in range(len(signal)):
         out[k] = signal[k] if shift == 0.0 else interpolate(signal, k - shift)

@@ -14,6 +14,12 @@ GRAVITY = 9.81
 AIR_DENSITY = 1.225
 
 
+MAY_BE_ZERO = (
+    "h_cog", "drive_front", "brake_front", "track_f", "track_r", "m_s", "h_roll", "h_pitch", "D_roll", "D_pitch",
+    "roll_front",
+)  # fmt: skip
+
+
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
     """A vehicle as its YAML file states it; None where a constant is not known and a prior has to stand for it.
@@ -37,6 +43,18 @@ class Vehicle:
     I_wr: float | None = None  # rear axle: wheels and what turns with them [kg m^2]
     K: float = math.inf  # lateral carcass stiffness of an axle [N/m]; infinite: slips without relaxation
     I_z: float | None = None  # yaw inertia [kg m^2]; None: m l_f l_r
+    track_f: float | None = None  # front track [m]; from here on, what only the full vehicle has
+    track_r: float | None = None  # rear track [m]
+    m_s: float | None = None  # sprung mass [kg]
+    I_x: float | None = None  # roll inertia of the sprung mass about its centre of gravity [kg m^2]
+    I_y: float | None = None  # pitch inertia of the sprung mass about its centre of gravity [kg m^2]
+    h_roll: float | None = None  # height of the roll axis under the centre of gravity [m]
+    h_pitch: float | None = None  # height of the pitch axis [m]
+    K_roll: float | None = None  # roll stiffness, both axles together [N m/rad]
+    D_roll: float | None = None  # roll damping, both axles together [N m s/rad]
+    roll_front: float | None = None  # front axle's share of the roll stiffness and damping [1]
+    K_pitch: float | None = None  # pitch stiffness [N m/rad]
+    D_pitch: float | None = None  # pitch damping [N m s/rad]
     steering_ratio: float | None = None  # steering wheel to road wheel [1]
     drive_front: float = 1.0  # share of the drive torque on the front axle [1]
     brake_front: float = 0.6  # share of the brake torque on the front axle [1]
@@ -48,11 +66,13 @@ class Vehicle:
                 raise InputError(f"{where}: {name} = {value!r} is not a number")
             if math.isinf(value) and name not in ("C_vert", "K"):
                 raise InputError(f"{where}: {name} = {value:g}; it must be finite")
-            if math.isnan(value) or value < 0 or (value == 0 and name not in ("h_cog", "drive_front", "brake_front")):
+            if math.isnan(value) or value < 0 or (value == 0 and name not in MAY_BE_ZERO):
                 raise InputError(f"{where}: {name} = {value:g}; it must be positive")
-        for name in ("drive_front", "brake_front"):
-            if getattr(self, name) > 1:
+        for name in ("drive_front", "brake_front", "roll_front"):
+            if (getattr(self, name) or 0.0) > 1:
                 raise InputError(f"{where}: {name} = {getattr(self, name):g}; a share lies between 0 and 1")
+        if self.m_s is not None and self.m is not None and self.m_s > self.m:
+            raise InputError(f"{where}: m_s = {self.m_s:g} kg; the sprung mass is a part of m = {self.m:g} kg")
         if self.l_f is not None and self.L is not None and self.l_f >= self.L:
             raise InputError(f"{where}: l_f = {self.l_f:g} m reaches past the wheelbase L = {self.L:g} m")
 
@@ -60,10 +80,10 @@ class Vehicle:
         """The constants that are known, by name."""
         return {name: value for name, value in asdict(self).items() if name != "name" and value is not None}
 
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """The constants of the equations of motion that the file leaves out."""
-        return tuple(name for name in GENERIC_PRIORS if getattr(self, name) is None)
+    def missing(self, model: str) -> tuple[str, ...]:
+        """The constants of a model's equations of motion that the file leaves out."""
+        needed = {**GENERIC_PRIORS, **(BODY_PRIORS if model == "full_vehicle" else {})}
+        return tuple(name for name in needed if getattr(self, name) is None)
 
 
 def read(path: str) -> Vehicle:
@@ -105,6 +125,25 @@ GENERIC_PRIORS: Mapping[str, Parameter] = {
         _constant("R_f", "m", 0.25, 0.45),
         _constant("I_wf", "kg m^2", 1.0, 8.0),
         _constant("I_wr", "kg m^2", 1.0, 8.0),
+    )
+}
+
+# The same for what only the full vehicle has.
+BODY_PRIORS: Mapping[str, Parameter] = {
+    p.name: p
+    for p in (
+        _constant("track_f", "m", 1.3, 1.8),
+        _constant("track_r", "m", 1.3, 1.8),
+        _constant("m_s", "kg", 600.0, 3000.0),
+        _constant("I_x", "kg m^2", 200.0, 1500.0),
+        _constant("I_y", "kg m^2", 800.0, 6000.0),
+        _constant("h_roll", "m", 0.01, 0.2),
+        _constant("h_pitch", "m", 0.01, 0.3),
+        _constant("K_roll", "N m/rad", 3e4, 2e5),
+        _constant("D_roll", "N m s/rad", 1e3, 1.5e4),
+        _constant("roll_front", "1", 0.4, 0.75),
+        _constant("K_pitch", "N m/rad", 5e4, 3e5),
+        _constant("D_pitch", "N m s/rad", 2e3, 3e4),
     )
 }
 
