@@ -11,7 +11,7 @@ from sbi.utils import BoxUniform
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
-from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, Vehicle
+from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, IMU_PRIORS, Vehicle
 
 DELTA_SCALE = 1e5
 
@@ -32,7 +32,7 @@ DELTAS: Mapping[str, Parameter] = {
     )
 }
 
-KNOWN: Mapping[str, Parameter] = {**GENERIC_PRIORS, **BODY_PRIORS, **DELTAS, **EFFECT_PARAMETERS}
+KNOWN: Mapping[str, Parameter] = {**GENERIC_PRIORS, **BODY_PRIORS, **IMU_PRIORS, **DELTAS, **EFFECT_PARAMETERS}
 
 
 def flatten(prior: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -169,7 +169,7 @@ _EFFECT_FIELDS = tuple(name for p in EFFECT_PARAMETERS.values() for name in p.fi
 _DERIVED = (
     "mass", "l_front", "l_rear", "I_z", "grip", "F_zf_static", "F_zr_static", "load_transfer",
     "sigma_f", "sigma_r", "R_front", "R_rear", "grade_gravity", "bank_gravity", "profiled",
-    "roll_arm", "pitch_arm", "roll_J", "pitch_J",
+    "roll_arm", "pitch_arm", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
 
 RECORD = np.dtype([(name, np.float64) for name in (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *_DERIVED)])
@@ -199,7 +199,8 @@ def derive(p) -> None:
     Mass, its place and I_z = factor m l_f l_r (unless the vehicle file states it) with the payload; static loads
     m g l_r/L and m g l_f/L across a graded or banked road; load transfer m h/L [N per m/s^2]; relaxation lengths
     sigma = factor C_alpha / K [m] (the paper's sec. II and equation 11); arms of the sprung mass about the roll and
-    pitch axes [m] with its moments of inertia about them [kg m^2].
+    pitch axes [m], wheels and axles taken to lie at the height of the wheels' centres, with its moments of inertia
+    about those axes [kg m^2]; the IMU's place.
     """
     p.mass, p.l_front, carried = payload(p)
     p.l_rear = p.L - p.l_front
@@ -217,9 +218,23 @@ def derive(p) -> None:
     p.load_transfer = p.mass * p.h_cog / p.L
     p.F_zf_static = weight * p.l_rear / p.L
     p.F_zr_static = weight * p.l_front / p.L
-    p.roll_arm, p.pitch_arm = p.h_cog - p.h_roll, p.h_cog - p.h_pitch
+    h_s = (p.mass * p.h_cog - (p.mass - p.m_s) * p.R_f) / p.m_s if p.m_s > 0.0 else p.h_cog
+    p.roll_arm, p.pitch_arm = h_s - p.h_roll, h_s - p.h_pitch
     p.roll_J = p.I_x + p.m_s * p.roll_arm**2
     p.pitch_J = p.I_y + p.m_s * p.pitch_arm**2
+    p.arm_x, p.arm_y, p.arm_z = imu_lever_arm(p)
+
+
+@njit(cache=True)
+def imu_lever_arm(p) -> tuple[float, float, float]:
+    """Where the IMU sits from the centre of gravity [m]: where the vehicle file has it, plus the lever arm.
+
+    A vehicle file states the place from the middle of the rear axle on the ground, as Autoware's base_link does.
+    """
+    x = p.imu_x - p.l_rear if math.isfinite(p.imu_x) else 0.0
+    y = p.imu_y if math.isfinite(p.imu_y) else 0.0
+    z = p.imu_z - p.h_cog if math.isfinite(p.imu_z) else 0.0
+    return x + p.imu_lever_arm_x, y + p.imu_lever_arm_y, z + p.imu_lever_arm_z
 
 
 @njit(cache=True)

@@ -220,11 +220,11 @@ def start(p, drive: int, u, initial, state) -> None:
 
 @njit(cache=True)
 def record(p, drive: int, u, state, rate, motion) -> None:
-    """Fill motion (14,) with MOTION at one sample: the sprung mass's centre of gravity and the axles' mean wheels."""
+    """Fill motion (14,) with MOTION at one sample: the body at the centre of gravity and the axles' mean wheels."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     motion[0], motion[1], motion[2] = v_x, v_y, r
-    motion[3] = rate[V_X] - v_y * r + p.pitch_arm * rate[PITCH_RATE]
-    motion[4] = rate[V_Y] + v_x * r - p.roll_arm * rate[ROLL_RATE]
+    motion[3] = rate[V_X] - v_y * r + (p.h_cog - p.h_pitch) * rate[PITCH_RATE]
+    motion[4] = rate[V_Y] + v_x * r - (p.h_cog - p.h_roll) * rate[ROLL_RATE]
     motion[5] = rate[R]
     if drive == SPEED:
         R_f, R_r = rolling_radii(p)

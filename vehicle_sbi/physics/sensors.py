@@ -29,8 +29,8 @@ GROUPS = ("imu", "can", "wheel_speed")
 
 @njit(cache=True)
 def lever_arm(p, a_x: float, a_y: float, w_x: float, w_y: float, r: float, dw_x: float, dw_y: float, r_dot: float):
-    """Acceleration [m/s^2] at (x, y, z) from the centre of gravity: a + dw/dt x p + w x (w x p) with a_z = 0."""
-    x, y, z = p.imu_lever_arm_x, p.imu_lever_arm_y, p.imu_lever_arm_z
+    """Acceleration [m/s^2] at the IMU: a + dw/dt x p + w x (w x p) with a_z = 0 at the centre of gravity."""
+    x, y, z = p.arm_x, p.arm_y, p.arm_z
     along = w_x * x + w_y * y + r * z
     square = w_x * w_x + w_y * w_y + r * r
     return (

@@ -20,6 +20,9 @@ MAY_BE_ZERO = (
 )  # fmt: skip
 
 
+IMU_PLACE = ("imu_x", "imu_y", "imu_z")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
     """A vehicle as its YAML file states it; None where a constant is not known and a prior has to stand for it.
@@ -55,6 +58,9 @@ class Vehicle:
     roll_front: float | None = None  # front axle's share of the roll stiffness and damping [1]
     K_pitch: float | None = None  # pitch stiffness [N m/rad]
     D_pitch: float | None = None  # pitch damping [N m s/rad]
+    imu_x: float | None = None  # IMU ahead of the rear axle [m]; None: at the centre of gravity
+    imu_y: float | None = None  # IMU left of the middle [m]
+    imu_z: float | None = None  # IMU above the ground [m]
     steering_ratio: float | None = None  # steering wheel to road wheel [1]
     drive_front: float = 1.0  # share of the drive torque on the front axle [1]
     brake_front: float = 0.6  # share of the brake torque on the front axle [1]
@@ -66,6 +72,8 @@ class Vehicle:
                 raise InputError(f"{where}: {name} = {value!r} is not a number")
             if math.isinf(value) and name not in ("C_vert", "K"):
                 raise InputError(f"{where}: {name} = {value:g}; it must be finite")
+            if name in IMU_PLACE and math.isfinite(value):
+                continue
             if math.isnan(value) or value < 0 or (value == 0 and name not in MAY_BE_ZERO):
                 raise InputError(f"{where}: {name} = {value:g}; it must be positive")
         for name in ("drive_front", "brake_front", "roll_front"):
@@ -144,6 +152,16 @@ BODY_PRIORS: Mapping[str, Parameter] = {
         _constant("roll_front", "1", 0.4, 0.75),
         _constant("K_pitch", "N m/rad", 5e4, 3e5),
         _constant("D_pitch", "N m s/rad", 2e3, 3e4),
+    )
+}
+
+# Where an IMU may be that the vehicle file does not place; free only where a study's prior says so.
+IMU_PRIORS: Mapping[str, Parameter] = {
+    p.name: p
+    for p in (
+        _constant("imu_x", "m", -1.0, 4.0),
+        _constant("imu_y", "m", -0.8, 0.8),
+        _constant("imu_z", "m", 0.0, 2.0),
     )
 }
 
