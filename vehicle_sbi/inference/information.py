@@ -26,6 +26,9 @@ FAILED = 1e3  # standard deviations that a failed simulation counts as being off
 NO_INFORMATION = 1e-6  # information per prior variance below which a direction counts as not seen at all
 
 
+CONFUSABLE = 0.95  # correlation from which two parameters count as hardly told apart
+
+
 @dataclass(frozen=True)
 class Sensitivity:
     """The noise-free model about one point: y (channels, time) and its derivatives (theta then eta, channels, time)."""
@@ -81,6 +84,22 @@ def bound_std(F: Float[np.ndarray, "d d"], prior_std: Float[np.ndarray, " d"]) -
     variance = (vectors[:, ~unseen] ** 2 / values[~unseen]).sum(axis=1)
     variance[(vectors[:, unseen] ** 2).sum(axis=1) > 1e-6] = np.inf
     return np.sqrt(variance) * prior_std
+
+
+def correlation(F: Float[np.ndarray, "d d"], prior_std: Float[np.ndarray, " d"]) -> Float[np.ndarray, "d d"]:
+    """Correlations of the parameters given the recording and a Gaussian as wide as the prior."""
+    covariance = np.linalg.inv(F * np.outer(prior_std, prior_std) + np.eye(len(F)))
+    std = np.sqrt(np.diag(covariance))
+    return covariance / np.outer(std, std)
+
+
+def confusable(F: Float[np.ndarray, "d d"], prior_std: Float[np.ndarray, " d"]) -> list[tuple[int, int, float]]:
+    """Pairs of parameters that this recording hardly tells apart, (i, j, correlation), the closest first."""
+    if not np.isfinite(F).all():
+        return []
+    r = correlation(F, prior_std)
+    pairs = [(int(i), int(j), float(r[i, j])) for i, j in zip(*np.triu_indices(len(r), 1), strict=True)]
+    return sorted((pair for pair in pairs if abs(pair[2]) > CONFUSABLE), key=lambda pair: -abs(pair[2]))
 
 
 def best_fit(

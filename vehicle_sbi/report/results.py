@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from vehicle_sbi.data.recording import CHANNELS
 from vehicle_sbi.files import write_atomically
-from vehicle_sbi.inference.information import bound_std, fisher
+from vehicle_sbi.inference.information import bound_std, confusable, fisher
 from vehicle_sbi.inference.predictive import Predictive, predictive
 from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.rounds import Inference
@@ -36,6 +36,7 @@ class Results:
     samples: Float[np.ndarray, "n d"]
     table: pd.DataFrame
     predicted: Predictive
+    confusable: list[tuple[str, str, float]]
 
 
 def results(prepared: Prepared, inference: Inference, *, samples: int) -> Results:
@@ -44,9 +45,10 @@ def results(prepared: Prepared, inference: Inference, *, samples: int) -> Result
     seed_torch(seed=simulator.seed, stream=Stream.POSTERIOR)
     drawn = draw(inference.posterior, simulator.space, samples)
     at = drawn.mean(axis=0) if prepared.truth is None else prepared.truth
-    bound = bound_std(fisher(simulator, at), simulator.space.prior_std)
-    table = posterior_table(simulator.space, drawn, true=prepared.truth, bound_std=bound)
-    return Results(drawn, table, predictive(simulator, prepared.problem.observed, drawn))
+    space, F = simulator.space, fisher(simulator, at)
+    table = posterior_table(space, drawn, true=prepared.truth, bound_std=bound_std(F, space.prior_std))
+    pairs = [(space.names[i], space.names[j], r) for i, j, r in confusable(F, space.prior_std)]
+    return Results(drawn, table, predictive(simulator, prepared.problem.observed, drawn), pairs)
 
 
 def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, samples: int) -> None:
@@ -55,6 +57,7 @@ def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, sampl
         found = results(prepared, inference, samples=samples)
         write_samples(folder.path, found.samples, prepared, inference)
         notes, warnings = round_notes(inference), round_warnings(inference, found.table)
+        notes += [f"Hardly told apart: {a} and {b}: correlation {r:.2f}." for a, b, r in found.confusable]
         told = [*notes, *found.predicted.sentences(), *prepared.notes]
         folder.record(**facts(inference), notes=told, warnings=warnings)
         write_tables(folder.path, found.table, nominal(prepared), [*warnings, *told])
