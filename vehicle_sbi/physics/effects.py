@@ -169,7 +169,7 @@ _EFFECT_FIELDS = tuple(name for p in EFFECT_PARAMETERS.values() for name in p.fi
 _DERIVED = (
     "mass", "l_front", "l_rear", "I_z", "grip", "F_zf_static", "F_zr_static", "load_transfer",
     "sigma_f", "sigma_r", "R_front", "R_rear", "grade_gravity", "bank_gravity", "profiled",
-    "roll_arm", "pitch_arm", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
+    "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
 
 RECORD = np.dtype([(name, np.float64) for name in (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *_DERIVED)])
@@ -198,9 +198,9 @@ def derive(p) -> None:
 
     Mass, its place and I_z = factor m l_f l_r (unless the vehicle file states it) with the payload; static loads
     m g l_r/L and m g l_f/L across a graded or banked road; load transfer m h/L [N per m/s^2]; relaxation lengths
-    sigma = factor C_alpha / K [m] (the paper's sec. II and equation 11); arms of the sprung mass about the roll and
-    pitch axes [m], wheels and axles taken to lie at the height of the wheels' centres, with its moments of inertia
-    about those axes [kg m^2]; the IMU's place.
+    sigma = factor C_alpha / K [m] (the paper's sec. II and equation 11); levers m_s h_s [kg m] of the sprung mass,
+    payload included, about the roll and pitch axes, wheels and axles taken to lie at the height of the wheels'
+    centres, with its moments of inertia about those axes [kg m^2]; the IMU's place. No more than all of m is sprung.
     """
     p.mass, p.l_front, carried = payload(p)
     p.l_rear = p.L - p.l_front
@@ -218,10 +218,11 @@ def derive(p) -> None:
     p.load_transfer = p.mass * p.h_cog / p.L
     p.F_zf_static = weight * p.l_rear / p.L
     p.F_zr_static = weight * p.l_front / p.L
-    h_s = (p.mass * p.h_cog - (p.mass - p.m_s) * p.R_f) / p.m_s if p.m_s > 0.0 else p.h_cog
-    p.roll_arm, p.pitch_arm = h_s - p.h_roll, h_s - p.h_pitch
-    p.roll_J = p.I_x + p.m_s * p.roll_arm**2
-    p.pitch_J = p.I_y + p.m_s * p.pitch_arm**2
+    sprung = min(p.m_s, p.m) + p.payload_mass if p.m_s > 0.0 else 0.0
+    h_s = (p.mass * p.h_cog - (p.mass - sprung) * p.R_f) / sprung if sprung > 0.0 else p.h_cog
+    p.roll_lever, p.pitch_lever = sprung * (h_s - p.h_roll), sprung * (h_s - p.h_pitch)
+    p.roll_J = p.I_x + p.roll_lever * (h_s - p.h_roll)
+    p.pitch_J = p.I_y + p.pitch_lever * (h_s - p.h_pitch)
     p.arm_x, p.arm_y, p.arm_z = imu_lever_arm(p)
 
 
@@ -378,7 +379,9 @@ def downforce(p, v_x: float) -> tuple[float, float]:
 @njit(cache=True)
 def rolling_resistance(p, v_x: float) -> float:
     """Rolling resistance [N] along x, -c_rr F_z (Rajamani, sec. 4.2), fading linearly below 1 m/s to zero at rest."""
-    return -p.rolling_resistance_coefficient * (p.F_zf_static + p.F_zr_static) * min(1.0, max(-1.0, v_x))
+    press_f, press_r = downforce(p, v_x)
+    F_z = p.F_zf_static + p.F_zr_static + press_f + press_r
+    return -p.rolling_resistance_coefficient * F_z * min(1.0, max(-1.0, v_x))
 
 
 @njit(cache=True)

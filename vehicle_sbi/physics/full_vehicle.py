@@ -11,8 +11,9 @@ h_s and h_p below its centre of gravity, on springs K and dampers D:
     I_z dr/dt = sum (x_i F_y,i - y_i F_x,i)
 
 (small angles; Rajamani, Vehicle Dynamics and Control, ch. 15; Jazar, Vehicle Dynamics, ch. 11). Springs and dampers
-carry their part of the load transfer, roll and pitch centres carry the rest at once. With no sprung mass and no track
-the equations are those of the single-track model.
+carry their part of the load transfer, roll and pitch centres carry the rest at once: the forces of the sprung mass that
+act there and what acts on wheels and axles. A wheel that lifts leaves all of its axle's load to the other. With no
+sprung mass and no track the equations are those of the single-track model.
 """
 
 import math
@@ -33,6 +34,7 @@ from vehicle_sbi.physics.single_track import (
     DELTA,
     LOAD_ITERATIONS,
     LOAD_TOLERANCE,
+    SECANTS,
     SPEED,
     T_F,
     T_R,
@@ -44,6 +46,7 @@ from vehicle_sbi.physics.single_track import (
     U_V_X,
     U_V_X_DOT,
     WHEEL_SPEED,
+    extrapolated,
     regular,
     rolling_radii,
     slip,
@@ -85,30 +88,30 @@ def impose(p, drive: int, u, state) -> None:
 
 
 @njit(cache=True)
-def load(p, i: int, a_x: float, a_y: float, roll_moment: float, pitch_moment: float, press_f: float, press_r: float):
-    """Vertical load [N] of wheel i at apparent accelerations [m/s^2], and its ratio to the static one.
+def load(p, i: int, pitching: float, springs: float, centres: float, press_f: float, press_r: float):
+    """Vertical load [N] of wheel i, and its ratio to the static one.
 
-    roll_moment, pitch_moment [N m] are what springs and dampers hold; the centres of roll and pitch carry the rest.
+    pitching [N m] moves load to the rear axle; springs and centres [N m] are what the springs and dampers and what the
+    roll centres carry of the moment that moves load to the right wheels.
     """
-    rigid_x = p.mass * p.h_cog - p.m_s * p.pitch_arm
-    rigid_y = p.mass * p.h_cog - p.m_s * p.roll_arm
-    shift = (rigid_x * a_x + pitch_moment) / p.L
+    shift = pitching / p.L
     if i < 2:
         static, axle, track = p.F_zf_static, p.F_zf_static - shift + press_f, p.track_f
-        moment = p.roll_front * roll_moment + rigid_y * a_y * p.l_rear / p.L
+        moment = p.roll_front * springs + centres * p.l_rear / p.L
     else:
         static, axle, track = p.F_zr_static, p.F_zr_static + shift + press_r, p.track_r
-        moment = (1.0 - p.roll_front) * roll_moment + rigid_y * a_y * p.l_front / p.L
-    across = moment / track if track > 0.0 else 0.0
+        moment = (1.0 - p.roll_front) * springs + centres * p.l_front / p.L
+    all_of_it = max(0.5 * axle, 0.0)
+    across = min(max(moment / track, -all_of_it), all_of_it) if track > 0.0 else 0.0
     F_z = 0.5 * axle + (across if i % 2 == 1 else -across)
     return F_z, 2.0 * F_z / static
 
 
 @njit(cache=True)
-def sprung(p, state) -> tuple[float, float]:
+def restoring(p, state) -> tuple[float, float]:
     """Moments (roll, pitch) [N m] with which springs, dampers and gravity act on a leaning body."""
-    roll = -(p.K_roll - p.m_s * GRAVITY * p.roll_arm) * state[ROLL] - p.D_roll * state[ROLL_RATE]
-    pitch = -(p.K_pitch - p.m_s * GRAVITY * p.pitch_arm) * state[PITCH] - p.D_pitch * state[PITCH_RATE]
+    roll = -(p.K_roll - GRAVITY * p.roll_lever) * state[ROLL] - p.D_roll * state[ROLL_RATE]
+    pitch = -(p.K_pitch - GRAVITY * p.pitch_lever) * state[PITCH] - p.D_pitch * state[PITCH_RATE]
     return roll, pitch
 
 
@@ -121,30 +124,35 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     v_x, v_y, r, t = state[V_X], state[V_Y], state[R], u[TIME]
     relaxed = p.sigma_f > 0.0
     mu = friction_step(p, p.grip, t)
-    push_x, push_y, turn = body_load(p, v_x, t)
+    push_x, push_y, moment_z = body_load(p, v_x, t)
     press_f, press_r = downforce(p, v_x)
     g_x, g_y = road_grade(p, t), road_bank(p)
     steady = v_x * r
     straight = u[DELTA] + roll_steer(p, steady)
     slope = 1.0 + (0.0 if relaxed else steering_compliance(p, p.C_alpha_f))
-    roll_moment, pitch_moment = sprung(p, state)
+    roll_moment, pitch_moment = restoring(p, state)
     held_roll = p.K_roll * state[ROLL] + p.D_roll * state[ROLL_RATE]
     held_pitch = -(p.K_pitch * state[PITCH] + p.D_pitch * state[PITCH_RATE])
-    m_x = p.mass - (p.m_s * p.pitch_arm) ** 2 / p.pitch_J
-    m_y = p.mass - (p.m_s * p.roll_arm) ** 2 / p.roll_J
-    pull_x = -p.m_s * p.pitch_arm / p.pitch_J * (pitch_moment - p.m_s * p.pitch_arm * g_x)
-    pull_y = p.m_s * p.roll_arm / p.roll_J * (roll_moment + p.m_s * p.roll_arm * g_y)
+    m_x, m_y = p.mass - p.pitch_lever**2 / p.pitch_J, p.mass - p.roll_lever**2 / p.roll_J
+    pull_x = -p.pitch_lever / p.pitch_J * (pitch_moment - p.pitch_lever * g_x)
+    pull_y = p.roll_lever / p.roll_J * (roll_moment + p.roll_lever * g_y)
+    rigid_x, rigid_y = p.mass * p.h_cog - p.pitch_lever, p.mass * p.h_cog - p.roll_lever
 
     a_x = u[U_V_X_DOT] - v_y * r if drive == SPEED else rate[V_X] - v_y * r
     a_y, twist, converged = rate[V_Y] + v_x * r, 0.0, False
-    F_x = F_y = M_z = 0.0
-    for _ in range(LOAD_ITERATIONS):
+    F_x = F_y = M_z = roll_rate_dot = pitch_rate_dot = left_x = left_y = left_M = 0.0
+    before_x = before_y = before_turn = led_x = led_y = led_twist = 0.0
+    for iteration in range(LOAD_ITERATIONS):
         delta = straight - twist
         sine, cosine = math.sin(delta), math.cos(delta)
-        F_x, F_y, M_z, F_yf = push_x, push_y, turn, 0.0
+        F_x, F_y, M_z, F_yf = push_x, push_y, moment_z, 0.0
+        roll_rate_dot = (p.roll_lever * (a_y + g_y) + roll_moment) / p.roll_J
+        pitch_rate_dot = (pitch_moment - p.pitch_lever * (a_x + g_x)) / p.pitch_J
+        pitching = rigid_x * (a_x + g_x) + held_pitch + p.h_pitch * p.pitch_lever * pitch_rate_dot
+        centres = rigid_y * (a_y + g_y) - p.h_roll * p.roll_lever * roll_rate_dot
         for i in range(WHEELS):
             x, y = place(p, i)
-            F_z, share = load(p, i, a_x + g_x, a_y + g_y, held_roll, held_pitch, press_f, press_r)
+            F_z, share = load(p, i, pitching, held_roll, centres, press_f, press_r)
             v_along, v_across = v_x - r * y, v_y + r * x
             speed = regular(v_along)
             front = i < 2
@@ -173,22 +181,30 @@ def derivatives(p, drive: int, u, state, rate) -> None:
             if front:
                 F_yf += f_y
                 f_x, f_y = f_x * cosine - f_y * sine, f_x * sine + f_y * cosine
-            F_x, F_y, M_z = F_x + f_x, F_y + f_y, M_z + x * f_y - y * f_x
+            f_M = x * f_y - y * f_x
+            if i % 2 == 0:
+                left_x, left_y, left_M = f_x, f_y, f_M
+            else:  # axle by axle, so that a mirrored drive has the same rounding
+                F_x, F_y, M_z = F_x + (left_x + f_x), F_y + (left_y + f_y), M_z + (left_M + f_M)
         solved_x = a_x if drive == SPEED else (F_x + pull_x) / m_x
         solved_y = (F_y + pull_y) / m_y
         missing = steering_compliance(p, F_yf) - twist
-        off = max(abs(solved_x - a_x), abs(solved_y - a_y))
-        converged = off < LOAD_TOLERANCE and abs(missing) < TWIST_TOLERANCE
+        off_x, off_y, turn = solved_x - a_x, solved_y - a_y, missing / slope
+        converged = max(abs(off_x), abs(off_y)) < LOAD_TOLERANCE and abs(missing) < TWIST_TOLERANCE
         if converged:
             break
-        a_x, a_y, twist = solved_x, solved_y, twist + missing / slope
+        back = extrapolated(iteration, off_x, off_y, turn, before_x, before_y, before_turn)
+        part = 1.0 if iteration < SECANTS else 0.5
+        before_x, before_y, before_turn = off_x, off_y, turn
+        a_x, led_x = a_x + part * off_x - back * (a_x + off_x - led_x), a_x + off_x
+        a_y, led_y = a_y + part * off_y - back * (a_y + off_y - led_y), a_y + off_y
+        twist, led_twist = twist + part * turn - back * (twist + turn - led_twist), twist + turn
 
     rate[V_X] = a_x + v_y * r if converged else math.nan
     rate[V_Y] = a_y - v_x * r
     rate[R] = M_z / p.I_z
     rate[ROLL], rate[PITCH] = state[ROLL_RATE], state[PITCH_RATE]
-    rate[ROLL_RATE] = (p.m_s * p.roll_arm * (a_y + g_y) + roll_moment) / p.roll_J
-    rate[PITCH_RATE] = (pitch_moment - p.m_s * p.pitch_arm * (a_x + g_x)) / p.pitch_J
+    rate[ROLL_RATE], rate[PITCH_RATE] = roll_rate_dot, pitch_rate_dot
 
 
 @njit(cache=True)
@@ -199,8 +215,7 @@ def start(p, drive: int, u, initial, state) -> None:
     if drive == SPEED:
         state[V_X] = u[U_V_X]
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
-    stiffness = p.K_roll - p.m_s * GRAVITY * p.roll_arm
-    state[ROLL] = p.m_s * p.roll_arm * v_x * r / stiffness
+    state[ROLL] = p.roll_lever * v_x * r / (p.K_roll - GRAVITY * p.roll_lever)
     R_f, R_r = rolling_radii(p)
     for i in range(WHEELS):
         x, y = place(p, i)

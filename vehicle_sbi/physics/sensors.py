@@ -108,7 +108,8 @@ def measure(p, motion, t, rate: float, y) -> None:
         w_x, w_y = motion[k, P], motion[k, Q]
         lean, dive = body_roll(p, lean, a_y, rate), body_pitch(p, dive, a_x, rate)
         f_x, f_y, f_z = lever_arm(p, a_x, a_y, w_x, w_y, r, motion[k, P_DOT], motion[k, Q_DOT], motion[k, R_DOT])
-        f_x, f_y, f_z = f_x + road_grade(p, t[k]), f_y + road_bank(p), f_z + GRAVITY
+        g_x, g_y = road_grade(p, t[k]), road_bank(p)
+        f_x, f_y, f_z = f_x + g_x, f_y + g_y, f_z + math.sqrt(GRAVITY * GRAVITY - g_x * g_x - g_y * g_y)
         f_x, f_y, f_z = tilted(f_x, f_y, f_z, motion[k, ROLL] + lean, motion[k, PITCH] + dive)
         f_x, f_y, f_z = imu_misalignment(p, f_x, f_y, f_z)
         w_x, w_y, w_z = imu_misalignment(p, w_x, w_y, r)

@@ -12,6 +12,7 @@ from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.effects import derive, steer, torques
 from vehicle_sbi.physics.sensors import MEASUREMENTS, MOTION, measure, report
 from vehicle_sbi.physics.single_track import DELTA, T_F, T_R, TIME, regular
+from vehicle_sbi.physics.vehicle import GRAVITY
 
 SINGLE_TRACK, FULL_VEHICLE = 0, 1
 MODELS = {"single_track": SINGLE_TRACK, "full_vehicle": FULL_VEHICLE}
@@ -200,35 +201,54 @@ def simulate_batch(
         )
 
 
-def fastest_rate(record: np.void, drive: str, v_min: float) -> float:
+def fastest_rate(record: np.void, drive: str, v_min: float, model: str = "single_track") -> float:
     """The fastest eigenvalue [1/s] of the model linearised about straight driving at v_min, tyres vertically rigid.
 
     An upper bound without relaxation, good to a fifth with it. The wheels' slip modes are no faster than
     R^2 C_kappa / (I_w v) + sum(C_kappa) / (m v), the body between recorded wheels has the last term, and the lateral
     pair has a known trace and determinant (Rajamani, sec. 2.5). Behind a relaxation of rate c = v/sigma a mode of rate
-    d becomes s^2 + c s + c d = 0, whose roots are sqrt(c d) where they oscillate and below c where they do not.
+    d becomes s^2 + c s + c d = 0, whose roots are sqrt(c d) where they oscillate and below c where they do not. In the
+    full vehicle the tyres move less than all of m, the body swinging on its springs; it does so against the rest.
     """
-    p, v = record, max(v_min, 1.0)
-    m, l_f, l_r = p["m"], p["l_f"], p["L"] - p["l_f"]
-    I_z = p["yaw_inertia_factor"] * (p["I_z_stated"] or m * l_f * l_r)
-    C_f, C_r = p["C_alpha_f"], p["C_alpha_r"]
-    half_trace = 0.5 * ((C_f + C_r) / (m * v) + (l_f**2 * C_f + l_r**2 * C_r) / (I_z * v))
-    determinant = p["L"] ** 2 * C_f * C_r / (m * I_z * v**2) + (l_r * C_r - l_f * C_f) / I_z
-    oscillates = determinant > half_trace**2
-    rigid = [np.sqrt(determinant) if oscillates else half_trace + np.sqrt(half_trace**2 - determinant)]
+    records, v = np.array([record]), max(v_min, 1.0)
+    derive(records[0])
+    p, swinging = records[0], []
+    m_x = m_y = p["mass"]
+    turning = 0.0  # what wheels at both sides that slip against each other add [1/s]
+    if model == "full_vehicle":
+        for axis in ("roll", "pitch"):
+            lever, J = p[f"{axis}_lever"], p[f"{axis}_J"]
+            J -= lever**2 / p["mass"]
+            swinging.append(_faster_root(p[f"D_{axis}"] / J, abs(p[f"K_{axis}"] - GRAVITY * lever) / J))
+        m_x, m_y = m_x - p["pitch_lever"] ** 2 / p["pitch_J"], m_y - p["roll_lever"] ** 2 / p["roll_J"]
+        turning = sum(p[f"C_kappa_{axle}"] * p[f"track_{axle}"] ** 2 for axle in "fr") / (4.0 * p["I_z"] * v)
+    l_f, l_r, I_z, C_f, C_r = p["l_front"], p["l_rear"], p["I_z"], p["C_alpha_f"], p["C_alpha_r"]
+    trace = (C_f + C_r) / (m_y * v) + (l_f**2 * C_f + l_r**2 * C_r) / (I_z * v)
+    determinant = p["L"] ** 2 * C_f * C_r / (m_y * I_z * v**2) + (l_r * C_r - l_f * C_f) / I_z
+    rigid = [_faster_root(trace, determinant)]
     if drive != "speed":
-        rigid.append((p["C_kappa_f"] + p["C_kappa_r"]) / (m * v))
+        rigid.append((p["C_kappa_f"] + p["C_kappa_r"]) / (m_x * v))
     if drive == "torque":
-        rigid += [rigid[1] + p["R_f"] ** 2 * p[f"C_kappa_{axle}"] / (p[f"I_w{axle}"] * v) for axle in "fr"]
-    lag = v * p["K"] / min(C_f, C_r)
-    return max(rigid) if np.isinf(lag) else max(lag, np.sqrt(lag * max(rigid)))
+        along = rigid[1] + turning
+        rigid += [along + p[f"R_{a}"] ** 2 * p[f"C_kappa_{a[0]}"] / (p[f"I_w{a[0]}"] * v) for a in ("front", "rear")]
+    sigma = min(p["sigma_f"], p["sigma_r"])
+    behind = rigid if sigma == 0.0 else [v / sigma, np.sqrt(v / sigma * max(rigid))]
+    return max([*swinging, *behind])
 
 
-def substeps_for(records: np.ndarray, drive: str, v_min: float, rate: float, limit: float = 1.0) -> int:
+def _faster_root(trace: float, determinant: float) -> float:
+    """Absolute value of the larger root of s^2 + trace s + determinant = 0, trace not negative."""
+    discriminant = (0.5 * trace) ** 2 - determinant
+    return 0.5 * trace + np.sqrt(discriminant) if discriminant >= 0.0 else np.sqrt(determinant)
+
+
+def substeps_for(
+    records: np.ndarray, drive: str, v_min: float, rate: float, limit: float = 1.0, model: str = "single_track"
+) -> int:
     """Runge-Kutta steps per sample so that step times fastest eigenvalue stays below `limit` for every record.
 
     At 1 the fourth-order method is far inside its stability bound of 2.78 and its error per step in that mode is
     below 1/5! of the mode's amplitude, in the modes that matter to the sensors orders of magnitude less.
     """
-    fastest = max(fastest_rate(record, drive, v_min) for record in records)
+    fastest = max(fastest_rate(record, drive, v_min, model) for record in records)
     return max(1, int(np.ceil(fastest / (rate * limit))))

@@ -39,7 +39,9 @@ V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_F, ALPHA_R = range(STATES
 
 LOAD_TOLERANCE = 1e-9  # [m/s^2], where the loop between load transfer and longitudinal force stops
 TWIST_TOLERANCE = 1e-12  # [rad], where that between side force and steering compliance does
-LOAD_ITERATIONS = 50
+TWIST_WEIGHT = 1e3  # [m/s^2 per rad], what makes the two comparable
+LOAD_ITERATIONS = 100
+SECANTS = 30  # of which the first so many extrapolate, the others go half the way
 STEEPEST = 1.5  # [rad], the largest slip angle whose tangent is taken
 
 
@@ -73,6 +75,21 @@ def tangent(alpha: float) -> float:
 
 
 @njit(cache=True)
+def extrapolated(iteration: int, off_x: float, off_y: float, turn: float, x: float, y: float, z: float) -> float:
+    """Share of the step before in the next one of a fixed-point iteration, whose residuals are (off_x, off_y [m/s^2],
+    turn [rad]) now and were (x, y, z) then: Anderson's mixing of depth one, in one unknown the secant method.
+
+    It ends where plain iteration creeps (a tall car on one axle that slips) or runs away (a very compliant steering).
+    """
+    if iteration == 0 or iteration >= SECANTS:
+        return 0.0
+    turn, z = TWIST_WEIGHT * turn, TWIST_WEIGHT * z
+    size = (off_x - x) ** 2 + (off_y - y) ** 2 + (turn - z) ** 2
+    share = ((off_x - x) * off_x + (off_y - y) * off_y + (turn - z) * turn) / size if size > 0.0 else 0.0
+    return min(max(share, -9.0), 0.9)
+
+
+@njit(cache=True)
 def impose(drive: int, u, state) -> None:
     """Overwrite the states that the drive mode takes from the recording."""
     if drive == WHEEL_SPEED:
@@ -86,9 +103,9 @@ def impose(drive: int, u, state) -> None:
 def derivatives(p, drive: int, u, state, rate) -> None:
     """Fill rate (9,) with d(state)/dt; rate[V_X] on entry is the guess from which the load-transfer loop starts.
 
-    F_x depends on F_z and F_z on a_x: fixed-point iteration, whose factor is below mu h / L; the angle that steering
-    compliance takes off the front wheels depends on their force and it on that angle, solved beside it with the
-    tyre's slope at the origin. NaN if the loop does not end.
+    F_x depends on F_z and F_z on a_x: fixed-point iteration, whose factor is below mu h / L, `extrapolated`; the angle
+    that steering compliance takes off the front wheels depends on their force and it on that angle, solved beside it
+    with the tyre's slope at the origin. NaN if the loop does not end.
     """
     v_x, v_y, r, t = state[V_X], state[V_Y], state[R], u[TIME]
     relaxed = p.sigma_f > 0.0
@@ -99,7 +116,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     a_y = v_x * r
     straight = u[DELTA] + roll_steer(p, a_y)
     mu = friction_step(p, p.grip, t)
-    push_x, push_y, turn = body_load(p, v_x, t)
+    push_x, push_y, moment_z = body_load(p, v_x, t)
     press_f, press_r = downforce(p, v_x)
     g_x = road_grade(p, t)
     slope = 1.0 + (0.0 if relaxed else steering_compliance(p, p.C_alpha_f))
@@ -108,6 +125,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     cos_delta, converged = 1.0, False
     R_f, R_r = p.R_front, p.R_rear
     a_x = u[U_V_X_DOT] - v_y * r if drive == SPEED else rate[V_X] - v_y * r
+    before_x = before_turn = led_x = led_twist = 0.0
     for iteration in range(LOAD_ITERATIONS):
         if iteration == 0 or p.steering_compliance_coefficient != 0.0:
             delta = straight - twist
@@ -129,13 +147,17 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         converged = abs(solved - a_x) < LOAD_TOLERANCE and abs(missing) < TWIST_TOLERANCE
         if converged:
             break
-        a_x = solved
-        twist += missing / slope
+        off, turn = solved - a_x, missing / slope
+        back = extrapolated(iteration, off, 0.0, turn, before_x, 0.0, before_turn)
+        part = 1.0 if iteration < SECANTS else 0.5
+        before_x, before_turn = off, turn
+        a_x, led_x = a_x + part * off - back * (a_x + off - led_x), a_x + off
+        twist, led_twist = twist + part * turn - back * (twist + turn - led_twist), twist + turn
 
     F_lateral_f = F_xf * sin_delta + F_yf * cos_delta
     rate[V_X] = a_x + v_y * r if converged else math.nan
     rate[V_Y] = (F_lateral_f + F_yr + push_y) / p.mass - v_x * r
-    rate[R] = (p.l_front * F_lateral_f - p.l_rear * F_yr + turn) / p.I_z
+    rate[R] = (p.l_front * F_lateral_f - p.l_rear * F_yr + moment_z) / p.I_z
     rate[OMEGA_F] = (wheel_torque(u[T_F], state[OMEGA_F]) - F_xf * R_f) / p.I_wf if drive == TORQUE else 0.0
     rate[OMEGA_R] = (wheel_torque(u[T_R], state[OMEGA_R]) - F_xr * R_r) / p.I_wr if drive == TORQUE else 0.0
     fade_f = speed / p.sigma_f if relaxed else 0.0
