@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vehicle_sbi.physics.effects import RECORD, nominal_record
+from vehicle_sbi.physics.effects import RECORD, derive, nominal_record
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
-from vehicle_sbi.physics.simulation import FINISHED, MODELS, simulate_batch
+from vehicle_sbi.physics.simulation import FINISHED, MODELS, STATES, derivatives, impose, simulate_batch, start
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 
@@ -58,6 +58,52 @@ def coasting(v_x: float, seconds: float, rate: float = RATE) -> np.ndarray:
     u[:, 3] = v_x
     u[:, -1] = np.arange(len(u)) / rate
     return u
+
+
+def smooth_inputs(seconds: float = 2.0) -> np.ndarray:
+    """Everything a drive mode may ask for, smooth; wheel speeds that drive, then brake, near a slowly varying speed."""
+    t = np.arange(round(seconds * RATE) + 1) / RATE
+    u = np.zeros((len(t), len(INPUTS)))
+    u[:, 0] = 0.05 * np.sin(math.pi * t)
+    u[:, 1] = 400.0 * np.sin(2.0 * t) ** 2
+    u[:, 2] = -300.0 * np.sin(1.5 * t) ** 2
+    u[:, 3] = 10.5 + 0.8 * np.sin(1.2 * t)
+    u[:, 4] = 0.96 * np.cos(1.2 * t)
+    u[:, 5] = (10.5 + 0.5 * np.sin(1.2 * t)) / 0.305
+    u[:, 6] = (10.5 + 0.5 * np.sin(1.2 * t)) / 0.3055
+    u[:, 7] = t
+    return u
+
+
+def rate_of(
+    records: np.ndarray, drive: str, state: np.ndarray, u: np.ndarray, *, model: str = "single_track"
+) -> np.ndarray:
+    """d(state)/dt (states,) of the first record, the load-transfer loop started from no acceleration."""
+    p, out = records[0], np.zeros(STATES[MODELS[model]])
+    derive(p)
+    derivatives(p, MODELS[model], DRIVES[drive], u, state, out)
+    return out
+
+
+def jacobian_of(
+    records: np.ndarray, drive: str, v_x: float, columns: tuple[int, ...], step: float, *, model: str = "single_track"
+) -> np.ndarray:
+    """d(rate)/d(state) about straight driving at v_x, by central differences."""
+    p, state, u = records[0], np.zeros(STATES[MODELS[model]]), np.zeros(len(INPUTS))
+    derive(p)
+    u[3] = v_x
+    start(p, MODELS[model], DRIVES["torque"], u, np.array([v_x, 0.0, 0.0]), state)
+    u[5:7] = (state[3:5] if model == "single_track" else state[[7, 9]]).copy()
+    slopes = []
+    for column in columns:
+        shifted = np.tile(state, (2, 1))
+        shifted[0, column] += step
+        shifted[1, column] -= step
+        for x in shifted:
+            impose(p, MODELS[model], DRIVES[drive], u, x)
+        forward, backward = (rate_of(records, drive, x, u, model=model) for x in shifted)
+        slopes.append((forward - backward)[list(columns)] / (2.0 * step))
+    return np.array(slopes).T
 
 
 def simulate(

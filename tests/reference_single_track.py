@@ -1,17 +1,20 @@
 """The single-track model a second time, by another route: an oracle for the compiled one.
 
-Plain Python from the paper's equations 1 to 11 and a free-body diagram, no code shared with the package. What differs
-on purpose: Dugoff's lambda is formed as printed, the loop between load transfer and longitudinal force is a root that
-brentq brackets, and scipy's adaptive DOP853 integrates from sample to sample.
+Plain Python from the paper's equations 1 to 11, a free-body diagram and the catalogue's equations of the effects, no
+code shared with the package. What differs on purpose: Dugoff's lambda is formed as printed, the loops between load
+transfer and longitudinal force and between side force and steering compliance are roots that brentq brackets, and
+scipy's adaptive DOP853 integrates from sample to sample.
 
     pitch balance about the centre of gravity:  F_zf l_f - F_zr l_r + h (F_xf cos d - F_yf sin d + F_xr) = 0
     weight across the road:                     F_zf + F_zr = m g cos(grade) cos(bank)
 
-Holds for v_x > 1 m/s and omega > 1 rad/s, where nothing is regularised, and for wheels that do not lock.
+with downforce on top of both. Holds for v_x > 1 m/s and omega > 1 rad/s, where nothing is regularised, and for wheels
+that do not lock.
 """
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -23,11 +26,110 @@ RHO = 1.225
 Car = Mapping[str, float]
 
 
+class Moment(NamedTuple):
+    """What of the surroundings changes with time."""
+
+    g_x: float  # gravity along the body [m/s^2]
+    mu: float
+    gust: float  # [N]
+
+
+class Forces(NamedTuple):
+    """Tyre forces [N] in the wheels' own axes."""
+
+    x_f: float
+    y_f: float
+    x_r: float
+    y_r: float
+
+
 def car_of(record: np.void) -> dict[str, float]:
     """The constants and effect parameters of a record as floats; what the package derives from them is left out."""
-    assert record.dtype.names is not None
-    derived = ("l_r", "I_z", "grip", "F_zf_static", "F_zr_static", "load_transfer", "sigma_f", "sigma_r")
-    return {name: float(record[name]) for name in record.dtype.names if name not in derived}
+    names = record.dtype.names
+    assert names is not None
+    return {name: float(record[name]) for name in names[: names.index("mass")]}
+
+
+def root(function, low: float, high: float) -> float:
+    """The root between two bounds, to 1e-13."""
+    return float(brentq(function, low, high, xtol=1e-13, rtol=1e-15))  # pyright: ignore[reportArgumentType]
+
+
+# --- the car and what acts on it ------------------------------------------------------------------------------------
+
+
+def mass(c: Car) -> float:
+    """Car and payload [kg]."""
+    return c["m"] + c["payload_mass"]
+
+
+def axles(c: Car) -> tuple[float, float]:
+    """Distances [m] of the common centre of gravity from the front and the rear axle: moments of mass about them."""
+    behind_front = c["m"] * c["l_f"] + c["payload_mass"] * (c["l_f"] - c["payload_x"])
+    l_f = behind_front / mass(c)
+    return l_f, c["L"] - l_f
+
+
+def yaw_inertia(c: Car) -> float:
+    """m l_f l_r of the empty car times a factor, and both masses moved to the common centre of gravity [kg m^2]."""
+    own = c["yaw_inertia_factor"] * c["m"] * c["l_f"] * (c["L"] - c["l_f"])
+    ahead = c["l_f"] - axles(c)[0]  # of the empty car's centre of gravity
+    return own + c["m"] * ahead**2 + c["payload_mass"] * (c["payload_x"] - ahead) ** 2
+
+
+def blows(c: Car, effect: str, t: float) -> float:
+    """Share of an effect that lasts from start on for duration: cubics 3 s^2 - 2 s^3 of 0.1 s begin and end it."""
+    if c[f"{effect}_duration"] == 0.0:
+        return 0.0
+    since = np.array([t - c[f"{effect}_start"], t - c[f"{effect}_start"] - c[f"{effect}_duration"]])
+    s = np.clip(since / 0.1, 0.0, 1.0)
+    begun, ended = 3.0 * s**2 - 2.0 * s**3
+    return float(begun - ended)
+
+
+def gravity_along(c: Car, t: float) -> float:
+    """g sin(grade) [m/s^2], the profile's grade on top of the constant one."""
+    knots = [c[f"road_grade_profile_angle_{i}"] for i in range(8)]
+    profile = np.interp(t, np.linspace(0.0, c["duration"], 8), knots)
+    return G * math.sin(c["road_grade_angle"] + float(profile))
+
+
+def at(c: Car, t: float) -> Moment:
+    """The surroundings at time t [s]."""
+    mu = c["mu"] * c["friction_level_factor"]
+    mu += mu * (c["friction_step_factor"] - 1.0) * blows(c, "friction_step", t)
+    return Moment(gravity_along(c, t), mu, c["gust_force"] * blows(c, "gust", t))
+
+
+def weight(c: Car) -> float:
+    """What presses the car on a road with a constant grade and bank [N]."""
+    return mass(c) * G * math.cos(c["road_grade_angle"]) * math.cos(c["road_bank_angle"])
+
+
+def downforce(c: Car, v_x: float) -> float:
+    """Half rho A v^2 [N]."""
+    return RHO / 2.0 * c["downforce_area"] * v_x**2
+
+
+def axle_loads(c: Car, now: Moment, a_x: float, v_x: float) -> tuple[float, float]:
+    """F_zf, F_zr [N] from the two balances above; every force but gravity and downforce acts at the ground."""
+    N, pressed = weight(c), downforce(c, v_x)
+    tipping = c["h_cog"] * mass(c) * (a_x + now.g_x)
+    F_zf = (N * axles(c)[1] - tipping) / c["L"]
+    return F_zf + c["downforce_front_share"] * pressed, N - F_zf + (1.0 - c["downforce_front_share"]) * pressed
+
+
+def outer_forces(c: Car, now: Moment, v_x: float) -> tuple[float, float, float]:
+    """Drag, rolling resistance, gravity along the body and wind [N], and moments of wind and whatever else [N m]."""
+    x = -0.5 * RHO * c["aero_drag_area"] * v_x**2
+    x -= c["rolling_resistance_coefficient"] * (weight(c) + downforce(c, v_x))
+    x -= mass(c) * now.g_x
+    y = c["crosswind_force"] + now.gust - mass(c) * G * math.sin(c["road_bank_angle"])
+    turn = c["crosswind_force"] * c["crosswind_arm"] + now.gust * c["gust_arm"] + c["yaw_moment_moment"]
+    return x, y, turn
+
+
+# --- tyres ----------------------------------------------------------------------------------------------------------
 
 
 def dugoff(C_kappa: float, C_alpha: float, mu: float, F_z: float, kappa: float, alpha: float) -> tuple[float, float]:
@@ -38,92 +140,121 @@ def dugoff(C_kappa: float, C_alpha: float, mu: float, F_z: float, kappa: float, 
     return C_kappa * kappa / (1.0 + kappa) * f, C_alpha * math.tan(alpha) / (1.0 + kappa) * f
 
 
-def axle_loads(c: Car, a_x: float) -> tuple[float, float]:
-    """F_zf, F_zr [N] from the two balances above; every force but gravity taken to act at the ground."""
-    N = c["m"] * G * math.cos(c["road_grade_angle"]) * math.cos(c["road_bank_angle"])
-    ground_force = c["m"] * (a_x + G * math.sin(c["road_grade_angle"]))
-    F_zf = (N * (c["L"] - c["l_f"]) - c["h_cog"] * ground_force) / c["L"]
-    return F_zf, N - F_zf
+def tyre(
+    c: Car, C: tuple[float, float], mu: float, F_z: float, static: float, slips: tuple[float, float], a_y: float
+) -> tuple[float, float]:
+    """F_x, F_y [N] of a tyre or axle of stiffnesses C (kappa, alpha) with the tyre effects; slips (kappa, alpha)."""
+    kappa, alpha = slips
+    stiffer = max(1.0 + c["load_sensitivity_coefficient"] * (F_z - static) / static, 0.05)
+    C_kappa = C[0] * stiffer
+    C_alpha = C[1] * stiffer * max(1.0 - c["lateral_load_transfer_coefficient"] * a_y**2, 0.05)
+    F = np.array(dugoff(C_kappa, C_alpha, mu, F_z, kappa, alpha))
+    grip, demand = mu * max(F_z, 0.0), np.array([C_kappa * kappa, C_alpha * math.tan(alpha)])
+    size = float(np.hypot(*demand))
+    if size == 0.0 or grip == 0.0:
+        return float(F[0]), float(F[1])
+    z = size / grip / (1.0 + kappa)
+    F += c["tyre_curve_peak"] * (math.sin(1.5 * math.atan(z / 1.5)) * grip * demand / size - F)
+    return float(F[0]), float(F[1])
 
 
-def effective_radius(c: Car, F_z: float) -> float:
-    """Equation 6 with R_l = R_f - F_z,tyre / C_vert."""
-    return 2.0 / 3.0 * c["R_f"] + (c["R_f"] - F_z / 2.0 / c["C_vert"]) / 3.0
+def effective_radius(c: Car, F_z: float, axle: str) -> float:
+    """Equation 6 with R_l = R_f - F_z,tyre / C_vert; axle is front or rear."""
+    free = c[f"wheel_radius_{axle}"] * c["R_f"]
+    return 2.0 / 3.0 * free + (free - F_z / 2.0 / c["C_vert"]) / 3.0
+
+
+def relaxation_lengths(c: Car) -> tuple[float, float]:
+    """Equation 11's sigma [m] of both axles, times a factor."""
+    return c["relaxation_factor"] * c["C_alpha_f"] / c["K"], c["relaxation_factor"] * c["C_alpha_r"] / c["K"]
+
+
+# --- equations of motion --------------------------------------------------------------------------------------------
 
 
 def slip_angles(c: Car, state: np.ndarray, delta: float) -> tuple[float, float]:
     """Equations 3 and 5."""
     v_x, v_y, r = state[:3]
-    return delta - math.atan2(v_y + c["l_f"] * r, v_x), -math.atan2(v_y - (c["L"] - c["l_f"]) * r, v_x)
+    l_f, l_r = axles(c)
+    return delta - math.atan2(v_y + l_f * r, v_x), -math.atan2(v_y - l_r * r, v_x)
 
 
 def wheel_plane_speed(c: Car, state: np.ndarray, delta: float) -> float:
     """Speed [m/s] of the front contact point in the wheel's own plane."""
-    return state[0] * math.cos(delta) + (state[1] + c["l_f"] * state[2]) * math.sin(delta)
+    return state[0] * math.cos(delta) + (state[1] + axles(c)[0] * state[2]) * math.sin(delta)
 
 
-def slips(c: Car, state: np.ndarray, delta: float, a_x: float) -> tuple[float, float]:
+def slips(c: Car, state: np.ndarray, delta: float, loads: tuple[float, float]) -> tuple[float, float]:
     """Equation 4 for both axles."""
     V_f, V_r = wheel_plane_speed(c, state, delta), state[0]
-    F_zf, F_zr = axle_loads(c, a_x)
-    rolling_f, rolling_r = effective_radius(c, F_zf) * state[3], effective_radius(c, F_zr) * state[4]
+    rolling_f = effective_radius(c, loads[0], "front") * state[3]
+    rolling_r = effective_radius(c, loads[1], "rear") * state[4]
     return (rolling_f - V_f) / max(rolling_f, V_f), (rolling_r - V_r) / max(rolling_r, V_r)
 
 
-def tyre_forces(c: Car, drive: str, state: np.ndarray, delta: float, a_x: float) -> tuple[float, float, float, float]:
-    """F_xf, F_yf, F_xr, F_yr [N] if the car accelerates with a_x."""
+def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, a_x: float) -> Forces:
+    """The forces if the front wheels stand at delta and the car accelerates with a_x."""
+    loads = axle_loads(c, now, a_x, state[0])
     if math.isfinite(c["K"]):
         kappa_f, kappa_r, alpha_f, alpha_r = (float(x) for x in state[5:9])
     else:
         alpha_f, alpha_r = slip_angles(c, state, delta)
-        kappa_f, kappa_r = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, a_x)
-    mu = c["mu"] * c["friction_level_factor"]
-    F_zf, F_zr = axle_loads(c, a_x)
-    F_xf, F_yf = dugoff(c["C_kappa_f"], c["C_alpha_f"], mu, F_zf, kappa_f, alpha_f)
-    F_xr, F_yr = dugoff(c["C_kappa_r"], c["C_alpha_r"], mu, F_zr, kappa_r, alpha_r)
-    return F_xf, F_yf, F_xr, F_yr
+        kappa_f, kappa_r = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
+    (l_f, l_r), N, a_y = axles(c), weight(c), state[0] * state[2]
+    front = tyre(c, (c["C_kappa_f"], c["C_alpha_f"]), now.mu, loads[0], N * l_r / c["L"], (kappa_f, alpha_f), a_y)
+    rear = tyre(c, (c["C_kappa_r"], c["C_alpha_r"]), now.mu, loads[1], N * l_f / c["L"], (kappa_r, alpha_r), a_y)
+    return Forces(*front, *rear)
 
 
-def outer_forces(c: Car, v_x: float) -> tuple[float, float]:
-    """Drag, rolling resistance, and gravity along the body [N]."""
-    N = c["m"] * G * math.cos(c["road_grade_angle"]) * math.cos(c["road_bank_angle"])
-    x = -0.5 * RHO * c["aero_drag_area"] * v_x**2 - c["rolling_resistance_coefficient"] * N
-    return x - c["m"] * G * math.sin(c["road_grade_angle"]), -c["m"] * G * math.sin(c["road_bank_angle"])
+def steered(c: Car, now: Moment, drive: str, state: np.ndarray, command: float, a_x: float) -> float:
+    """Where the front wheels stand [rad]: delta = command + roll steer - coefficient F_yf(delta)."""
+    straight = command + c["roll_steer_coefficient"] * state[0] * state[2]
+    coefficient = c["steering_compliance_coefficient"]
+    if coefficient == 0.0:
+        return straight
+    most = coefficient * 3.0 * (abs(axle_loads(c, now, a_x, state[0])[0]) + 1.0)  # no friction coefficient reaches 3
+
+    def excess(delta: float) -> float:
+        return delta - straight + coefficient * tyre_forces(c, now, drive, state, delta, a_x).y_f
+
+    return root(excess, straight - most, straight + most)
 
 
-def longitudinal_acceleration(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> float:
+def longitudinal_acceleration(c: Car, now: Moment, drive: str, state: np.ndarray, u: np.ndarray) -> float:
     """v_x' - v_y r [m/s^2]: the root of Newton's second law along x, in which it also stands on the right."""
     if drive == "speed":
         return u[4] - state[1] * state[2]
-    delta, x = u[0], outer_forces(c, state[0])[0]
+    x = outer_forces(c, now, state[0])[0]
 
     def excess(a_x: float) -> float:
-        F_xf, F_yf, F_xr, _ = tyre_forces(c, drive, state, delta, a_x)
-        return (F_xf * math.cos(delta) - F_yf * math.sin(delta) + F_xr + x) / c["m"] - a_x
+        delta = steered(c, now, drive, state, u[0], a_x)
+        F = tyre_forces(c, now, drive, state, delta, a_x)
+        return (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r + x) / mass(c) - a_x
 
-    return float(brentq(excess, -100.0, 100.0, xtol=1e-13, rtol=1e-15))  # pyright: ignore[reportArgumentType]
+    return root(excess, -100.0, 100.0)
 
 
 def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     """d(state)/dt for states v_x, v_y, r, omega_f, omega_r, kappa_f, kappa_r, alpha_f, alpha_r; u in INPUTS' order."""
-    v_x, v_y, r = state[:3]
-    delta = u[0]
-    a_x = longitudinal_acceleration(c, drive, state, u)
-    F_xf, F_yf, F_xr, F_yr = tyre_forces(c, drive, state, delta, a_x)
-    sideways_f = F_xf * math.sin(delta) + F_yf * math.cos(delta)
-    l_r = c["L"] - c["l_f"]
-    a_y = (sideways_f + F_yr + outer_forces(c, v_x)[1]) / c["m"]
-    I_z = c["yaw_inertia_factor"] * c["m"] * c["l_f"] * l_r
+    (v_x, v_y, r), now = state[:3], at(c, u[7])
+    a_x = longitudinal_acceleration(c, now, drive, state, u)
+    delta = steered(c, now, drive, state, u[0], a_x)
+    F, (_, y, turn) = tyre_forces(c, now, drive, state, delta, a_x), outer_forces(c, now, v_x)
+    sideways_f, (l_f, l_r) = F.x_f * math.sin(delta) + F.y_f * math.cos(delta), axles(c)
+    loads, a_y = axle_loads(c, now, a_x, v_x), (sideways_f + F.y_r + y) / mass(c)
     out = np.zeros(9)
-    out[:3] = a_x + v_y * r, a_y - v_x * r, (c["l_f"] * sideways_f - l_r * F_yr) / I_z
+    out[:3] = a_x + v_y * r, a_y - v_x * r, (l_f * sideways_f - l_r * F.y_r + turn) / yaw_inertia(c)
     if drive == "torque":
-        R_f, R_r = (effective_radius(c, F_z) for F_z in axle_loads(c, a_x))
-        out[3:5] = (u[1] - F_xf * R_f) / c["I_wf"], (u[2] - F_xr * R_r) / c["I_wr"]
+        R_f, R_r = effective_radius(c, loads[0], "front"), effective_radius(c, loads[1], "rear")
+        out[3:5] = (u[1] - F.x_f * R_f) / c["I_wf"], (u[2] - F.x_r * R_r) / c["I_wr"]
     if math.isfinite(c["K"]):
-        kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, a_x)
-        lag = np.array([v_x * c["K"] / c["C_alpha_f"], v_x * c["K"] / c["C_alpha_r"]] * 2)
+        kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
+        lag = v_x / np.array(relaxation_lengths(c) * 2)
         out[5:] = lag * (np.array([*kappa, *slip_angles(c, state, delta)]) - state[5:])
     return out
+
+
+# --- in time --------------------------------------------------------------------------------------------------------
 
 
 def impose(drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -138,12 +269,13 @@ def impose(drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def start(c: Car, drive: str, u: np.ndarray, initial: np.ndarray) -> np.ndarray:
     """Wheels rolling freely on their static load (or as recorded), lagged slips equal to the slips."""
-    state = np.zeros(9)
+    state, (l_f, l_r) = np.zeros(9), axles(c)
     state[:3] = initial
-    R_f, R_r = (effective_radius(c, F_z) for F_z in axle_loads(c, -G * math.sin(c["road_grade_angle"])))
+    static = weight(c) * l_r / c["L"], weight(c) * l_f / c["L"]
+    R_f, R_r = effective_radius(c, static[0], "front"), effective_radius(c, static[1], "rear")
     state[3:5] = wheel_plane_speed(c, state, u[0]) / R_f, state[0] / R_r
     state = impose(drive, state, u)
-    kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, u[0], -G * math.sin(c["road_grade_angle"]))
+    kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, u[0], static)
     state[5:] = *kappa, *slip_angles(c, state, u[0])
     return state
 
@@ -151,7 +283,7 @@ def start(c: Car, drive: str, u: np.ndarray, initial: np.ndarray) -> np.ndarray:
 def integrate(
     c: Car, drive: str, u: np.ndarray, rate: float, initial: np.ndarray, rtol: float = 1e-10, method: str = "DOP853"
 ) -> np.ndarray:
-    """v_x, v_y, r, a_x, a_y, r', omega_f, omega_r at each sample, (time, 8); inputs (time, 7) linear in between."""
+    """v_x, v_y, r, a_x, a_y, r', omega_f, omega_r at each sample, (time, 8); inputs (time, 8) linear in between."""
     state, motion = start(c, drive, u[0], initial), []
     for k in range(len(u)):
         state = impose(drive, state, u[k])
