@@ -1,0 +1,20 @@
+"""docs/effects.md: the catalogue of effects, its equations, parameters and pictures, written anew."""
+
+from pathlib import Path
+
+from _entry import launch  # first: it sets the number of threads
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from vehicle_sbi.report.catalogue import write
+
+
+@launch("catalogue")
+def main(cfg: DictConfig) -> None:
+    write(Path(cfg.folder), instantiate(cfg.vehicle), instantiate(cfg.manoeuvre), cfg.model.name)
+    print(f"{cfg.folder}/effects.md")
+
+
+if __name__ == "__main__":
+    main()
