@@ -13,7 +13,7 @@ from conftest import ROOT
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.prior import KNOWN, box, flatten, parameter_space
 from vehicle_sbi.physics.effects import CATALOGUE
-from vehicle_sbi.physics.vehicle import GENERIC_PRIORS, Vehicle
+from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, Vehicle
 
 
 def test_nested_names_are_joined_by_dots_and_null_takes_a_parameter_out() -> None:
@@ -22,7 +22,9 @@ def test_nested_names_are_joined_by_dots_and_null_takes_a_parameter_out() -> Non
 
 
 def test_a_box_holds_what_the_file_states() -> None:
-    space = parameter_space({"l_f": [1, 1.5], "body_roll": {"gradient": [0.0, 0.01]}}, vehicle=PAPER)
+    space = parameter_space(
+        {"l_f": [1, 1.5], "body_roll": {"gradient": [0.0, 0.01]}}, vehicle=PAPER, model="single_track"
+    )
     assert space.names == ("l_f", "body_roll.gradient")
     np.testing.assert_array_equal(space.low, [1.0, 0.0])
     np.testing.assert_array_equal(space.high, [1.5, 0.01])
@@ -41,31 +43,33 @@ def test_every_prior_file_is_one_for_its_car(name: str) -> None:
     car = {"lateral": "volvo_s90", "dart": "dart"}.get(name, "paper")
     vehicle = yaml.safe_load((ROOT / f"conf/vehicle/{car}.yaml").read_text())
     vehicle.pop("_target_")
-    assert parameter_space(content, vehicle=Vehicle(**vehicle)).names == tuple(flatten(content))
+    assert parameter_space(content, vehicle=Vehicle(**vehicle), model="single_track").names == tuple(flatten(content))
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_an_effect_brings_its_parameters_unless_the_prior_narrows_them(name: str) -> None:
     own = {p.name: (p.low, p.high) for p in CATALOGUE[name].parameters}
-    space = parameter_space({"l_f": [1.0, 1.5]}, vehicle=PAPER, effects=[name])
+    space = parameter_space({"l_f": [1.0, 1.5]}, vehicle=PAPER, model="single_track", effects=[name])
     assert {p.name: (p.low, p.high) for p in space.parameters[1:]} == own
     first = CATALOGUE[name].parameters[0]
     narrowed = {first.name.partition(".")[0]: {first.name.partition(".")[2]: [first.low, (first.low + first.high) / 2]}}
-    space = parameter_space(narrowed, vehicle=PAPER, effects=[name])
+    space = parameter_space(narrowed, vehicle=PAPER, model="single_track", effects=[name])
     assert len(space) == len(own)
     assert space.parameters[0].high == (first.low + first.high) / 2
 
 
 def test_what_the_vehicle_file_leaves_out_gets_a_generic_prior() -> None:
     unknown = replace(PAPER, mu=None, C_alpha_f=None, l_f=None)
-    space = parameter_space({"l_f": [1.0, 1.5]}, vehicle=unknown)
+    space = parameter_space({"l_f": [1.0, 1.5]}, vehicle=unknown, model="single_track")
     assert space.names == ("l_f", "C_alpha_f", "mu")
     assert space.parameters[0].high == 1.5
     assert space.parameters[1:] == (GENERIC_PRIORS["C_alpha_f"], GENERIC_PRIORS["mu"])
 
 
 def test_a_vehicle_without_any_constant_can_be_inferred_from_generic_priors() -> None:
-    assert set(parameter_space({}, vehicle=Vehicle(name="unknown")).names) == set(GENERIC_PRIORS)
+    assert set(parameter_space({}, vehicle=Vehicle(name="unknown"), model="single_track").names) == set(GENERIC_PRIORS)
+    whole = parameter_space({}, vehicle=Vehicle(name="unknown"), model="full_vehicle")
+    assert set(whole.names) == {*GENERIC_PRIORS, *BODY_PRIORS}
 
 
 WRONG: Mapping[str, tuple[dict, str]] = {
@@ -100,19 +104,19 @@ WRONG: Mapping[str, tuple[dict, str]] = {
 def test_a_bad_prior_is_one_clear_line(case: str) -> None:
     given, message = WRONG[case]
     with pytest.raises(InputError, match=message) as error:
-        parameter_space(given, vehicle=PAPER)
+        parameter_space(given, vehicle=PAPER, model="single_track")
     assert "\n" not in str(error.value)
 
 
 def test_an_offset_needs_a_constant_to_be_offset_from() -> None:
     unknown = replace(PAPER, C_alpha_f=None)
     with pytest.raises(InputError, match="delta_C_alpha_f is an offset, but vehicle 'paper' states no C_alpha_f"):
-        parameter_space({"delta_C_alpha_f": [-0.1, 0.1]}, vehicle=unknown)
+        parameter_space({"delta_C_alpha_f": [-0.1, 0.1]}, vehicle=unknown, model="single_track")
 
 
 def test_an_unknown_effect_is_refused_with_the_nearest_first() -> None:
     with pytest.raises(InputError, match="effects: unknown effect 'aero_drug'; known: aero_drag, "):
-        parameter_space({"l_f": [1.0, 1.5]}, vehicle=PAPER, effects=["aero_drug"])
+        parameter_space({"l_f": [1.0, 1.5]}, vehicle=PAPER, model="single_track", effects=["aero_drug"])
 
 
 def test_known_names_are_the_parameters_own() -> None:

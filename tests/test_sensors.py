@@ -7,21 +7,22 @@ import pytest
 from cars import RATE, RIGID, coasting, finished, record_of
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from vehicle_sbi.physics.effects import derive
-from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, MOTION, lever_arm, measure, report
+from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, MOTION, imu_misalignment, lever_arm, measure, report
 
 EPS = np.finfo(float).eps
 G, V = 9.81, 10.5
-A_X, A_Y, YAW, OMEGA_F, OMEGA_R, V_X, V_Y = range(len(MEASUREMENTS))
+A_X, A_Y, YAW, OMEGA_F, OMEGA_R, V_X, V_Y, A_Z, P, Q = range(len(MEASUREMENTS))
 LEAN = math.radians(4.5) / G  # 4.5 deg per g, in rad/(m/s^2)
 
 
 def measured(motion: np.ndarray, rate: float = RATE, **fields: float) -> np.ndarray:
-    """MEASUREMENTS (7, time) of a motion (time, 8)."""
+    """MEASUREMENTS (10, time) of a motion (time, 14)."""
     p, y = record_of(RIGID, **fields)[0], np.empty((len(MEASUREMENTS), len(motion)))
     derive(p)
-    measure(p, motion, rate, y)
+    measure(p, motion, np.arange(len(motion)) / rate, rate, y)
     return y
 
 
@@ -34,10 +35,14 @@ def motion_of(time: int = 50, **columns: float) -> np.ndarray:
 
 
 def test_perfect_sensors_report_the_motion_bit_for_bit() -> None:
+    # An upright body at the centre of gravity; a leaning one turns the sensors' axes.
     motion = np.random.default_rng(30).normal(size=(100, len(MOTION)))
+    motion[:, [MOTION.index("roll"), MOTION.index("pitch")]] = 0.0
     y = measured(motion)
     for row, name in enumerate(("a_x", "a_y", "r", "omega_f", "omega_r", "v_x", "v_y")):
         assert np.array_equal(y[row], motion[:, MOTION.index(name)])
+    assert np.array_equal(y[[P, Q]].T, motion[:, [MOTION.index("roll_rate"), MOTION.index("pitch_rate")]])
+    assert (y[A_Z] == G).all()
 
 
 def test_lever_arm_adds_centripetal_and_angular_acceleration() -> None:
@@ -54,17 +59,78 @@ def test_on_a_steady_circle_every_point_accelerates_towards_the_centre(
     x: float, y: float, v_x: float, v_y: float, r: float
 ) -> None:
     # The centre of rotation lies at (-v_y/r, v_x/r) in body axes; a point falls towards it with r^2 times its distance.
-    p = record_of(RIGID, imu_lever_arm_x=x, imu_lever_arm_y=y)[0]
-    expected = r * r * np.array([-v_y / r - x, v_x / r - y])
-    assert lever_arm(p, -v_y * r, v_x * r, r, 0.0) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    p = imu_at(x, y, 0.0)
+    expected = r * r * np.array([-v_y / r - x, v_x / r - y, 0.0])
+    measured = lever_arm(p, -v_y * r, v_x * r, 0.0, 0.0, r, 0.0, 0.0, 0.0)
+    assert measured == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
 @given(centimetres, centimetres, st.floats(-5.0, 5.0))
 def test_angular_acceleration_is_felt_square_to_the_arm(x: float, y: float, r_dot: float) -> None:
-    p = record_of(RIGID, imu_lever_arm_x=x, imu_lever_arm_y=y)[0]
-    a_x, a_y = lever_arm(p, 0.0, 0.0, 0.0, r_dot)
+    a_x, a_y, a_z = lever_arm(imu_at(x, y, 0.3), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, r_dot)
+    assert a_z == 0.0
     assert a_x * x + a_y * y == pytest.approx(0.0, abs=1e-13)
     assert math.hypot(a_x, a_y) == pytest.approx(abs(r_dot) * math.hypot(x, y), rel=4 * EPS)
+
+
+@given(st.tuples(*[st.floats(-2.0, 2.0)] * 3), st.tuples(*[st.floats(-5.0, 5.0)] * 6))
+def test_lever_arm_is_the_vector_formula(arm: tuple[float, ...], turning: tuple[float, ...]) -> None:
+    # a + dw x p + w x (w x p), by numpy's cross product: sums of a dozen products below 2 * 50, to their rounding.
+    w, dw, p = np.array(turning[:3]), np.array(turning[3:]), np.array(arm)
+    expected = np.array([1.0, -2.0, 0.0]) + np.cross(dw, p) + np.cross(w, np.cross(w, p))
+    assert lever_arm(imu_at(*arm), 1.0, -2.0, *turning) == pytest.approx(expected, rel=0.0, abs=12 * 100 * EPS)
+
+
+@given(st.floats(-5.0, 5.0), st.floats(-1.0, 1.0))
+def test_high_imu_feels_a_body_that_starts_to_roll(dw_x: float, z: float) -> None:
+    # To the right about a point below it: a point above moves to the right, -y.
+    y = measured(motion_of(1, roll_acceleration=dw_x), imu_lever_arm_z=z)
+    assert y[A_Y, 0] == -dw_x * z
+
+
+def test_imu_s_place_may_be_stated_from_the_rear_axle_on_the_ground() -> None:
+    p = record_of(RIGID, imu_x=0.5, imu_y=0.2, imu_z=1.0, imu_lever_arm_z=0.25)[0]
+    derive(p)
+    assert (p["arm_x"], p["arm_y"], p["arm_z"]) == pytest.approx((0.5 - (2.5789 - 1.1562), 0.2, 1.25 - 0.57487))
+
+
+angles = st.floats(-0.1, 0.1)
+
+
+@given(angles, angles, angles, st.tuples(*[st.floats(-20.0, 20.0)] * 3))
+def test_misaligned_imu_reads_the_same_vector_in_turned_axes(
+    roll: float, pitch: float, yaw: float, f: tuple[float, float, float]
+) -> None:
+    # scipy's intrinsic rotation z, y, x takes the IMU's axes to the car's; its inverse takes vectors the other way.
+    # Length is kept, both to the rounding of nine products below 20.
+    p = record_of(RIGID, imu_misalignment_roll=roll, imu_misalignment_pitch=pitch, imu_misalignment_yaw=yaw)[0]
+    turned = np.array(imu_misalignment(p, *f))
+    assert np.linalg.norm(turned) == pytest.approx(np.linalg.norm(f), rel=0.0, abs=9 * 20 * EPS)
+    expected = Rotation.from_euler("ZYX", [yaw, pitch, roll]).inv().apply(f)
+    assert turned == pytest.approx(expected, rel=0.0, abs=18 * 20 * EPS)
+
+
+@given(angles, angles)
+def test_resting_imu_reads_g_on_any_road(grade: float, bank: float) -> None:
+    y = measured(motion_of(1), road_grade_angle=grade, road_bank_angle=bank)
+    assert np.linalg.norm(y[[A_X, A_Y, A_Z], 0]) == pytest.approx(G, rel=4 * EPS)
+    assert measured(motion_of(1))[[A_X, A_Y, A_Z], 0].tolist() == [0.0, 0.0, G]
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
+def test_leaning_body_leaks_gravity_and_keeps_its_length(roll: float, pitch: float) -> None:
+    # Right side down: the IMU's y axis points up to the left by the roll angle, so a_y gains g sin(roll); nose down:
+    # its x axis points down, so a_x loses g sin(pitch).
+    y = measured(motion_of(1, roll=roll, pitch=pitch))[[A_X, A_Y, A_Z], 0]
+    expected = G * np.array([-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch)])
+    assert y == pytest.approx(expected, rel=0.0, abs=4 * G * EPS)
+
+
+def imu_at(x: float, y: float, z: float) -> np.void:
+    """A record whose IMU sits at (x, y, z) from the centre of gravity."""
+    p = record_of(RIGID, imu_lever_arm_x=x, imu_lever_arm_y=y, imu_lever_arm_z=z)[0]
+    derive(p)
+    return p
 
 
 def test_body_roll_adds_eight_percent_to_steady_lateral_acceleration() -> None:
@@ -129,6 +195,15 @@ def test_biases_are_added_to_their_own_channel() -> None:
     y = measured(motion, accelerometer_bias_x=0.25, accelerometer_bias_y=-0.5, gyro_bias_z=0.0078125)
     assert np.array_equal(y[[A_X, A_Y, YAW], 0], [1.25, 1.5, 0.3 + 0.0078125])
     assert np.array_equal(y[3:], measured(motion)[3:])
+
+
+@pytest.mark.parametrize("group", range(len(GROUPS)))
+def test_lagging_sensors_answer_a_step_by_1_minus_exp(group: int) -> None:
+    # A signal held over each sample: 1 - exp(-t/T) at the samples, to the rounding of fifty steps.
+    T, signal, out = 0.08, np.ones(51), np.empty(51)
+    signal[0] = 0.0
+    report(record_of(RIGID, **{f"sensor_lag_{GROUPS[group]}": T})[0], signal, group, RATE, out)
+    assert out == pytest.approx(1.0 - np.exp(-np.arange(51) / RATE / T), rel=0.0, abs=50 * EPS)
 
 
 @pytest.mark.parametrize("group", range(len(GROUPS)))

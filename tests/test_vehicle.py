@@ -11,7 +11,7 @@ from cars import PAPER
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, nominal_record
-from vehicle_sbi.physics.vehicle import CONSTANTS, GENERIC_PRIORS, Vehicle
+from vehicle_sbi.physics.vehicle import BODY_PRIORS, CONSTANTS, GENERIC_PRIORS, IMU_PLACE, MAY_BE_ZERO, Vehicle
 
 
 @pytest.fixture(autouse=True)
@@ -33,6 +33,9 @@ def _types_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"l_f": 2.7, "L": 2.7}, ("l_f = 2.7 m", "L = 2.7 m")),
         ({"drive_front": 1.2}, ("drive_front = 1.2", "between 0 and 1")),
         ({"brake_front": -0.1}, ("brake_front = -0.1", "positive")),
+        ({"roll_front": 1.2}, ("roll_front = 1.2", "between 0 and 1")),
+        ({"m_s": 1600.0, "m": 1500.0}, ("m_s = 1600 kg", "m = 1500 kg")),
+        ({"imu_z": math.nan}, ("imu_z = nan",)),
         ({"C_vert": 0.0}, ("C_vert = 0", "positive")),
         ({"steering_ratio": -16.0}, ("steering_ratio = -16", "positive")),
     ],
@@ -45,9 +48,12 @@ def test_impossible_constant_gets_one_line(wrong: dict[str, Any], said: tuple[st
     assert all(part in line for part in ("vehicle 'shopping cart'", *said)), line
 
 
-@pytest.mark.parametrize("name", [name for name in CONSTANTS if name not in ("h_cog", "drive_front", "brake_front")])
+@pytest.mark.parametrize("name", [name for name in CONSTANTS if name not in IMU_PLACE])
 @pytest.mark.parametrize("value", [-1.0, 0.0, math.nan, -math.inf, "much"])
 def test_every_constant_is_checked(name: str, value: Any) -> None:
+    if value == 0.0 and name in MAY_BE_ZERO:
+        assert getattr(Vehicle(name="car", **{name: value}), name) == 0.0
+        return
     with pytest.raises(InputError, match=name):
         Vehicle(name="car", **{name: value})
 
@@ -58,11 +64,12 @@ def test_what_may_be_zero_or_infinite() -> None:
 
 def test_what_is_left_out_is_missing_and_nan_in_the_record() -> None:
     car = Vehicle(name="half known", m=1500.0, L=2.7)
-    assert set(car.missing) == set(GENERIC_PRIORS) - {"m", "L"}
+    assert set(car.missing("single_track")) == set(GENERIC_PRIORS) - {"m", "L"}
+    assert set(car.missing("full_vehicle")) == {*GENERIC_PRIORS, *BODY_PRIORS} - {"m", "L"}
     record = nominal_record(car)
     assert record["m"] == 1500.0
-    assert all(np.isnan(record[name]) for name in car.missing)
-    assert PAPER.missing == ()
+    assert all(np.isnan(record[name]) for name in car.missing("full_vehicle"))
+    assert PAPER.missing("full_vehicle") == ()
 
 
 def test_nominal_record_rests_at_every_null() -> None:

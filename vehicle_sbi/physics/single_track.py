@@ -197,7 +197,7 @@ def start(p, drive: int, u, initial, state) -> None:
 
 @njit(cache=True)
 def record(p, drive: int, u, state, rate, motion) -> None:
-    """Fill the planar part of motion (14,), MOTION at one sample; wheels roll freely where the drive mode does not solve for them."""
+    """Fill the planar part of motion (14,), MOTION at one sample; wheels that are not solved for roll freely."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     motion[0], motion[1], motion[2] = v_x, v_y, r
     motion[3], motion[4], motion[5] = rate[V_X] - v_y * r, rate[V_Y] + v_x * r, rate[R]
