@@ -27,6 +27,7 @@ PAPER = Vehicle(
 MILD = (0.06, 600.0, -900.0)  # steering [rad], drive and brake torque [N m]
 STRONG = (0.085, 900.0, -1800.0)
 RATE = 200.0
+V = 10.5  # [m/s], where the exciting manoeuvre starts
 
 # Each group of sensors reports something: v_y beside the IMU, yaw rate and speed over CAN, and the wheels.
 REPORTED_BY = ("imu", "imu", "can", "wheel_speed", "wheel_speed", "can", "imu", "imu", "imu", "imu")
@@ -49,6 +50,15 @@ def paper_manoeuvre(size: tuple[float, float, float] = MILD, seconds: float = 5.
     u[:, 0] = size[0] * np.sin(2.0 * math.pi * t / 4.0)
     u[:, 1] = np.where(driving, size[1], 0.6 * size[2])
     u[:, 2] = np.where(driving, 0.0, 0.4 * size[2])
+    return u
+
+
+def exciting(seconds: float) -> np.ndarray:
+    """The strong manoeuvre with a speed and wheel speeds for the drive modes that ask for them."""
+    u = paper_manoeuvre(STRONG, seconds=seconds)
+    t = np.arange(len(u)) / RATE
+    u[:, 3], u[:, 4] = V + 0.8 * np.sin(1.2 * t), 0.96 * np.cos(1.2 * t)
+    u[:, 5], u[:, 6] = u[:, 3] * (1.0 + 0.01 * np.sin(2.0 * t)) / 0.3, u[:, 3] / 0.3
     return u
 
 

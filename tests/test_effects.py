@@ -1,12 +1,11 @@
-"""One contract for every optional effect and both models, stated over the catalogue; then what single effects are."""
+"""One contract for every optional effect and both models, stated over the catalogue without naming any."""
 
-import math
 from collections.abc import Mapping
 from itertools import product
 
 import numpy as np
 import pytest
-from cars import MILD, PAPER, RATE, RIGID, STRONG, coasting, finished, paper_manoeuvre, record_of, simulate
+from cars import MILD, PAPER, RATE, V, exciting, finished, paper_manoeuvre, record_of, simulate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,34 +17,20 @@ from vehicle_sbi.physics.effects import (
     Effect,
     body_load,
     derive,
-    interpolate,
     nominal_record,
-    road_grade,
 )
 from vehicle_sbi.physics.sensors import MOTION
 from vehicle_sbi.physics.simulation import FINISHED, MODELS, NOT_FINITE, SPUN_OUT, drive_through, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS
 
-EPS = np.finfo(float).eps
-G, V = 9.81, 10.5
+G, SECONDS = 9.81, 4.0  # [m/s^2]; of the exciting manoeuvre
 A_X, A_Y, YAW, OMEGA_F, OMEGA_R, V_X, V_Y = range(7)  # of the rows of MEASUREMENTS
 
 every_effect = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=CATALOGUE)
 every_parameter = pytest.mark.parametrize("parameter", EFFECT_PARAMETERS.values(), ids=EFFECT_PARAMETERS)
 every_drive = pytest.mark.parametrize("drive", DRIVES)
 every_model = pytest.mark.parametrize("model", MODELS)
-
-SECONDS = 4.0
-
-
-def exciting() -> np.ndarray:
-    """The strong manoeuvre with a speed and wheel speeds for the drive modes that ask for them."""
-    u = paper_manoeuvre(STRONG, seconds=SECONDS)
-    t = np.arange(len(u)) / RATE
-    u[:, 3], u[:, 4] = V + 0.8 * np.sin(1.2 * t), 0.96 * np.cos(1.2 * t)
-    u[:, 5], u[:, 6] = u[:, 3] * (1.0 + 0.01 * np.sin(2.0 * t)) / 0.3, u[:, 3] / 0.3
-    return u
 
 
 def records_at(values: Mapping[Parameter, float]) -> np.ndarray:
@@ -56,7 +41,7 @@ def records_at(values: Mapping[Parameter, float]) -> np.ndarray:
 
 def driven(values: Mapping[Parameter, float], model: str, drive: str = "torque") -> np.ndarray:
     """All measurements of the strong manoeuvre."""
-    return finished(records_at(values), drive, exciting(), (V, 0.0, 0.0), model=model)
+    return finished(records_at(values), drive, exciting(SECONDS), (V, 0.0, 0.0), model=model)
 
 
 def null_of(parameter: Parameter) -> float:
@@ -94,7 +79,7 @@ def test_parameter_has_unit_prior_null_and_fields(parameter: Parameter) -> None:
 def test_without_effects_inputs_and_motion_pass_untouched(model: str, drive: str) -> None:
     # The integrator alone, fed with the command itself, and its motion read as the measurement: bit for bit what the
     # whole chain gives with every effect at its null. A leaning body turns its IMU, whose accelerations are left out.
-    p, u = record_of(PAPER)[0], exciting()
+    p, u = record_of(PAPER)[0], exciting(SECONDS)
     motion = np.empty((len(u), len(MOTION)))
     derive(p)
     initial = np.array([V, 0.0, 0.0])
@@ -129,7 +114,7 @@ def test_null_is_exact(effect: Effect, drive: str, model: str) -> None:
 
 def driven_plain(model: str, drive: str = "torque") -> np.ndarray:
     """The same without any effect."""
-    return finished(record_of(PAPER), drive, exciting(), (V, 0.0, 0.0), model=model)
+    return finished(record_of(PAPER), drive, exciting(SECONDS), (V, 0.0, 0.0), model=model)
 
 
 @every_effect
@@ -174,7 +159,7 @@ def test_corners_of_an_effect_s_prior_give_numbers(effect: Effect, drive: str, m
     # two of its sixteen corners, and nothing else.
     nominal = nominal_record(PAPER, duration=SECONDS)
     records = ParameterSpace(effect.parameters).records(corners_of(effect), nominal)
-    u = exciting()
+    u = exciting(SECONDS)
     u[:, :3] = paper_manoeuvre(MILD, seconds=SECONDS)[:, :3]
     y, outcomes = simulate(records, drive, u, (V, 0.0, 0.0), model=model)
     assert np.isin(outcomes, (FINISHED, SPUN_OUT)).all()
@@ -197,7 +182,7 @@ def test_anywhere_in_the_joint_prior_it_finishes_with_numbers_or_spins_out(
     model: str, data: st.DataObject, drive: str
 ) -> None:
     # All effects and all constants of the vehicle at once: a spin is physics, a NaN would be a bug.
-    space, u = ParameterSpace(BOXES[model]), exciting()
+    space, u = ParameterSpace(BOXES[model]), exciting(SECONDS)
     share = data.draw(st.lists(st.floats(0.0, 1.0), min_size=len(space), max_size=len(space)))
     theta = space.low + np.array(share) * (space.high - space.low)
     records = space.records(theta[np.newaxis], nominal_record(PAPER, duration=SECONDS))
@@ -205,84 +190,3 @@ def test_anywhere_in_the_joint_prior_it_finishes_with_numbers_or_spins_out(
     y, outcomes = simulate(records, drive, u, (V, 0.0, 0.0), substeps=substeps, model=model)
     assert outcomes[0] != NOT_FINITE
     assert np.isfinite(y).all() if outcomes[0] == FINISHED else np.isnan(y).all()
-
-
-# --- what single effects amount to ----------------------------------------------------------------------------------
-
-
-def test_delayed_steering_is_the_command_later() -> None:
-    # 0.1 s are 20 samples to the rounding of 0.1 * 200.
-    u, later = exciting(), exciting()
-    later[20:, 0], later[:20, 0] = u[:-20, 0], u[0, 0]
-    delayed = finished(record_of(PAPER, steering_delay_time=0.1), "torque", u, (V, 0.0, 0.0))
-    assert np.allclose(delayed, finished(record_of(PAPER), "torque", later, (V, 0.0, 0.0)), rtol=0.0, atol=1e-10)
-
-
-def test_steering_ratio_and_offset_act_on_the_command_in_that_order() -> None:
-    u, turned = exciting(), exciting()
-    turned[:, 0] = 1.25 * u[:, 0] + 0.01
-    crooked = record_of(PAPER, steering_ratio_gain=1.25, steering_offset_angle=0.01)
-    assert np.array_equal(
-        finished(crooked, "torque", u, (V, 0, 0)), finished(record_of(PAPER), "torque", turned, (V, 0, 0))
-    )
-
-
-def test_friction_level_is_another_mu() -> None:
-    slippery = finished(record_of(PAPER, friction_level_factor=0.5), "torque", exciting(), (V, 0.0, 0.0))
-    assert np.array_equal(slippery, finished(record_of(PAPER, mu=0.45), "torque", exciting(), (V, 0.0, 0.0)))
-
-
-@pytest.mark.parametrize("angle", [-0.12, 0.08])
-def test_slope_accelerates_a_rolling_car(angle: float) -> None:
-    # -m g sin(grade) moves the body and two axles that turn; wheels lag by a slip of I_w a/(R^2 C) = 3e-4 of 5 %.
-    mass = 1093.3 + 2 * 3.4 / 0.344**2
-    y = finished(record_of(RIGID, road_grade_angle=angle), "torque", coasting(V, 1.0), (V, 0.0, 0.0))
-    assert y[V_X, -1] - y[V_X, -2] == pytest.approx(-1093.3 * G * math.sin(angle) / mass / RATE, rel=1e-4)
-
-
-@pytest.mark.parametrize("angle", [-0.15, 0.1])
-def test_loads_on_a_slope_balance_the_moment_of_gravity(angle: float) -> None:
-    # Parked, about the rear contact point: F_zf L = m g (l_r cos - h sin). About the front one likewise. What the
-    # tyres hold the car with, m g sin, is the acceleration that an accelerometer measures: a_x + g_x.
-    p = record_of(RIGID, road_grade_angle=angle)[0]
-    derive(p)
-    weight, l_r = 1093.3 * G, 2.5789 - 1.1562
-    shift = p["load_transfer"] * road_grade(p, 0.0)
-    F_zf, F_zr = p["F_zf_static"] - shift, p["F_zr_static"] + shift
-    assert F_zf * 2.5789 == pytest.approx(weight * (l_r * math.cos(angle) - 0.57487 * math.sin(angle)))
-    assert F_zr * 2.5789 == pytest.approx(weight * (1.1562 * math.cos(angle) + 0.57487 * math.sin(angle)))
-
-
-def test_banked_road_is_held_by_steering_towards_its_high_side() -> None:
-    # Straight on along the bank both axles carry m g sin(bank) by their share, F_f = m g sin l_r/L: alpha = F/C each,
-    # so v_y = -V alpha_r and delta = alpha_f - alpha_r. Linear tyres; arctan and cos leave the squares of 0.01.
-    bank, m, l_r = 0.01, 1093.3, 2.5789 - 1.1562
-    alpha_f, alpha_r = m * G * bank * l_r / 2.5789 / 100e3, m * G * bank * 1.1562 / 2.5789 / 120e3
-    u = coasting(V, 5.0)
-    u[:, 0] = alpha_f - alpha_r
-    y = finished(record_of(RIGID, road_bank_angle=bank), "speed", u, (V, 0.0, 0.0))
-    assert abs(y[YAW, -1]) < 1e-4 * bank
-    assert y[V_Y, -1] == pytest.approx(-V * alpha_r, rel=1e-3)
-    assert y[A_Y, -1] == pytest.approx(G * bank, rel=1e-3)
-
-
-def test_yaw_inertia_slows_the_yaw_and_nothing_else_at_the_first_sample() -> None:
-    u = coasting(V, 0.1)
-    u[:, 0] = 0.01
-    motion = np.empty((2, len(u), len(MOTION)))
-    for i, factor in enumerate((1.0, 1.3)):
-        p = record_of(RIGID, yaw_inertia_factor=factor)[0]
-        derive(p)
-        initial = np.array([V, 0.0, 0.0])
-        drive_through(p, 0, DRIVES["speed"], u, np.zeros((1, 4)), 1 / RATE, 4, initial, motion[i])
-    r_dot = motion[:, 0, MOTION.index("r_dot")]
-    assert r_dot[0] / r_dot[1] == pytest.approx(1.3, rel=8 * EPS)
-    others = [i for i, name in enumerate(MOTION) if name != "r_dot"]
-    assert np.array_equal(motion[0, 0, others], motion[1, 0, others])
-
-
-@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=20), st.floats(-30.0, 30.0))
-def test_interpolation_is_numpy_s_and_holds_its_ends(signal: list[float], position: float) -> None:
-    values = np.array(signal)
-    expected = np.interp(position, np.arange(len(values)), values)
-    assert interpolate(values, position) == pytest.approx(expected, rel=1e-12, abs=1e-10)
