@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parent.parent
 ORDER = """
 errors files parameters rng
 physics.vehicle physics.tyre physics.effects physics.sensors physics.single_track physics.full_vehicle
-data.recording data.readers data.manoeuvre data.noise
+data.recording data.formats data.readers data.manoeuvre data.noise
 inference.prior inference.simulator inference.information inference.embedding inference.features
 inference.estimator inference.training inference.proposal inference.rounds inference.predictive inference.study
 inference.calibration
