@@ -15,7 +15,7 @@ inference.prior inference.simulator inference.information inference.embedding in
 inference.estimator inference.training inference.proposal inference.rounds inference.predictive inference.study
 inference.calibration
 mismatch.locate mismatch.explain mismatch.improve mismatch.verdict
-report.run_folder report.tables report.figures report.page report.results report.autoware
+report.run_folder report.tables report.density report.figures report.page report.results report.autoware
 """.split()
 RANK = {f"vehicle_sbi.{name}": rank for rank, name in enumerate(ORDER)}
 MODULES = sorted((ROOT / "vehicle_sbi").rglob("*.py"))
