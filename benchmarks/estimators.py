@@ -1,6 +1,6 @@
 """Estimators, features and schemes of rounds by their distance to a known posterior, that of the paper's study.
 
-    .venv/bin/python benchmarks/estimators.py paper_strong        (resumes; a quarter of an hour on one core)
+    .venv/bin/python benchmarks/estimators.py paper_strong        (resumes; three quarters of an hour on one core)
 
 The exact posterior comes from the simulator's own likelihood by MCMC. Process noise on a stiffness adds to its
 parameter, so the likelihood needs only their sum: walkers move in (l_f, h_cog, four sums, initial speed), whose prior
@@ -50,15 +50,16 @@ COMPARED = 2000
 SEED = 100  # of the drawn truth; the scored benchmark has others
 
 CASES: dict[str, tuple[DensityEstimator, Features, Scheme]] = {
-    "nsf, score, truncated": (NeuralSplineFlow(), Score(), Truncated()),
-    "maf, score, truncated": (MaskedAutoregressiveFlow(), Score(), Truncated()),
-    "zuko_maf, score, truncated": (MaskedAutoregressiveFlow(model="zuko_maf"), Score(), Truncated()),
     "mdn, score, truncated": (MixtureDensityNetwork(), Score(), Truncated()),
-    "nsf, handcrafted, truncated": (NeuralSplineFlow(), Handcrafted(), Truncated()),
-    "nsf, score, amortised": (NeuralSplineFlow(), Score(), Amortised()),
-    "zuko_maf, score, corrected": (MaskedAutoregressiveFlow(model="zuko_maf"), Score(), Corrected()),
+    "nsf, score, truncated": (NeuralSplineFlow(), Score(), Truncated()),
+    "zuko_maf, score, truncated": (MaskedAutoregressiveFlow(model="zuko_maf"), Score(), Truncated()),
+    "mdn, score, corrected": (MixtureDensityNetwork(), Score(), Corrected()),
     "nsf, score, corrected": (NeuralSplineFlow(), Score(), Corrected()),
-    "nsf, embedding, truncated": (NeuralSplineFlow(), Embedding(), Truncated()),
+    "nsf, score, amortised": (NeuralSplineFlow(), Score(), Amortised()),
+    "mdn, handcrafted, truncated": (MixtureDensityNetwork(), Handcrafted(), Truncated()),
+    "nsf, handcrafted, truncated": (NeuralSplineFlow(), Handcrafted(), Truncated()),
+    "maf, score, truncated": (MaskedAutoregressiveFlow(), Score(), Truncated()),
+    "mdn, embedding, truncated": (MixtureDensityNetwork(), Embedding(), Truncated()),
 }
 
 
@@ -75,6 +76,7 @@ def problem(manoeuvre: str) -> tuple[Problem, np.ndarray]:
     driven = conf(f"manoeuvre/{manoeuvre}")
     prepared = Study(
         vehicle=read(str(ROOT / "conf" / "vehicle" / "paper.yaml")),
+        model="single_track",
         drive="torque",
         prior=conf("prior/default"),
         effects=(),

@@ -51,6 +51,7 @@ def simulator(
     return Simulator(
         nominal=nominal_record(PAPER),
         space=parameter_space(prior or PRIOR, vehicle=PAPER),
+        model="single_track",
         drive="torque",
         windows=windows,
         process=process,

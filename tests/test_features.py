@@ -147,6 +147,23 @@ def test_the_score_is_the_posterior_mean_of_the_linear_model() -> None:
     np.testing.assert_allclose(x, MIDDLE / std + pulled, atol=0.02 * 0.05)
 
 
+def test_noise_that_follows_the_signal_is_weighted_in_two_ways_one_of_them_bounded() -> None:
+    # A sample that is off by thousands of standard deviations counts in full in the first half and as BOUNDED in the
+    # second, where making it ten times worse changes nothing (tanh is 1 to double precision from 20 on).
+    sim = simulator()
+    noise = constant_noise(sim.windows)
+    sim = sim.with_noise(replace(noise, share=np.full(len(noise.floor), 0.1)))
+    y = sim.noise_free(MIDDLE[None])
+    summary, kick = Score().fit(sim, MIDDLE, y), np.zeros_like(y)
+    kick[0, 1, 100] = 1e4 * float(sim.noise.std(y)[0, 1, 100])
+    good, bad, worse = (summary(y + k * kick)[0] for k in (0.0, 1.0, 10.0))
+    assert good.shape == (6,)
+    np.testing.assert_allclose((worse - good)[:3], 10.0 * (bad - good)[:3], rtol=1e-4)
+    np.testing.assert_array_equal(worse[3:], bad[3:])
+    assert (np.abs(bad - good)[3:] > 0.0).any()
+    assert np.abs(bad - good)[3:].max() < 1e-2 * np.abs(bad - good)[:3].max()
+
+
 def test_what_a_recording_does_not_see_is_no_feature() -> None:
     seen = simulator(drive_torque=0.0, brake_torque=0.0, steering_amplitude=0.02)
     unseen = simulator(PRIOR | {"h_cog": [0.2, 0.6]}, drive_torque=0.0, brake_torque=0.0, steering_amplitude=0.02)

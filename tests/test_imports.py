@@ -11,12 +11,13 @@ ORDER = """
 errors files parameters rng
 physics.vehicle physics.tyre physics.effects physics.sensors physics.single_track physics.full_vehicle
 physics.simulation
-data.recording data.readers data.manoeuvre data.noise
+data.recording data.formats data.readers data.manoeuvre data.noise
 inference.prior inference.simulator inference.information inference.embedding inference.features
 inference.estimator inference.training inference.proposal inference.rounds inference.predictive inference.study
 inference.calibration
 mismatch.locate mismatch.explain mismatch.improve mismatch.verdict
-report.run_folder report.tables report.figures report.catalogue report.page report.results report.autoware
+report.run_folder report.tables report.density report.figures report.catalogue report.page report.results
+report.autoware
 """.split()
 RANK = {f"vehicle_sbi.{name}": rank for rank, name in enumerate(ORDER)}
 MODULES = sorted((ROOT / "vehicle_sbi").rglob("*.py"))

@@ -7,7 +7,7 @@ from cars import PAPER
 from sbi.inference import EnsemblePosterior
 from sbi.inference.posteriors import DirectPosterior
 from sbi.neural_nets.estimators.base import ConditionalDensityEstimator
-from scipy.stats import kstest
+from scipy.stats import beta, kstest, norm
 from torch import Tensor, nn
 from torch.distributions import Independent, Normal
 
@@ -15,6 +15,9 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.prior import box, parameter_space
 from vehicle_sbi.inference.proposal import (
     EXCLUDED_MASS,
+    RESAMPLED_FROM,
+    SUPPORT_SAMPLES,
+    WIDENED,
     Support,
     acceptance,
     draw,
@@ -54,6 +57,15 @@ AT_EDGE = posterior([1.5, 0.0], [0.05, 0.03])  # half of it outside
 OUTSIDE = posterior([1.8, 0.0], [0.05, 0.1])  # six standard deviations outside
 
 
+# The threshold is the density of one draw, at rank k of all: the mass beyond it is Beta distributed. These are the
+# masses that it falls short of, and exceeds, once in a million.
+_RANK = round(EXCLUDED_MASS * SUPPORT_SAMPLES) + 1
+MASS_BEYOND = beta(_RANK, SUPPORT_SAMPLES + 1 - _RANK).ppf([1e-6, 1 - 1e-6])
+
+
+WELL_INSIDE = 3.3 * WIDENED  # radius [standard deviations] that every support reaches beyond
+
+
 @pytest.fixture(autouse=True)
 def seeded() -> None:
     torch.manual_seed(0)
@@ -78,8 +90,14 @@ def test_draws_of_a_density_outside_the_prior_end_and_lie_inside() -> None:
     samples = draw(OUTSIDE, SPACE, 500)
     assert samples.shape == (500, 2)
     assert (samples <= SPACE.high).all()
-    # Beyond z = 6 a Gaussian falls off over 1/6 of its standard deviation.
-    assert 0.5 < np.mean(1.5 - samples[:, 0]) / (0.05 / 6) < 1.5
+    # Beyond z = 6 the mean is that of the cut Gaussian (inverse Mills ratio), its standard error that of 500 draws and
+    # of the candidates they are resampled from: N of them, uniform over the box, count as N (E w)^2 / E w^2, where
+    # weights w fall off as exp(-6 z) in l_f, of width 10, and as a Gaussian of standard deviation 1/6 of the box.
+    mean = norm.pdf(6) / norm.sf(6)
+    std = np.sqrt(1 + 6 * mean - mean**2)
+    candidates = RESAMPLED_FROM * 2 / 6 / 10 * 2 * np.sqrt(np.pi) / 6
+    off = np.mean((1.8 - samples[:, 0]) / 0.05) - mean
+    assert abs(off) < 5 * std * np.sqrt(1 / 500 + 1 / candidates)
 
 
 def test_an_ensemble_is_the_mixture_of_its_members_in_random_order() -> None:
@@ -102,16 +120,20 @@ def radius(theta: np.ndarray, mean: list[float], std: list[float]) -> np.ndarray
     return np.hypot(*((theta - mean) / std).T)
 
 
-def test_the_support_of_a_gaussian_is_its_ellipse() -> None:
-    """Of two dimensions exp(-r^2/2) of the mass lies beyond radius r."""
+def test_the_support_of_a_gaussian_is_its_ellipse_and_a_margin() -> None:
+    """Of two dimensions exp(-r^2/2) of the mass lies beyond radius r, which is then widened.
+
+    The peak is that of the draws: the nearest of n is farther than r with probability exp(-n r^2/2), once in a million
+    beyond r^2 = 28/n, by which the widened square falls short at most.
+    """
     support = Support.of(INSIDE, SPACE)
-    edge = np.sqrt(-2 * np.log(EXCLUDED_MASS))
+    most, least = WIDENED * np.sqrt(-2 * np.log(MASS_BEYOND))
+    least = np.sqrt(least**2 - (WIDENED**2 - 1) * 28 / SUPPORT_SAMPLES)
     theta = np.random.default_rng(0).uniform([1.1, -0.2], [1.4, 0.2], (5000, 2))
     r = radius(theta, [1.25, 0.0], [0.02, 0.03])
     inner = support.contains(theta)
-    # The threshold comes from 10 of 10000 draws: five standard errors are half an order of magnitude, in r 0.35.
-    assert inner[r < edge - 0.35].all()
-    assert not inner[r > edge + 0.35].any()
+    assert inner[r < least].all()
+    assert not inner[r > most].any()
 
 
 def test_the_truncated_prior_is_uniform_on_the_support() -> None:
@@ -121,9 +143,9 @@ def test_the_truncated_prior_is_uniform_on_the_support() -> None:
     assert support.contains(theta).all()
     r = radius(theta, [1.25, 0.0], [0.02, 0.03])
     # Uniform on a disc: r^2 is uniform, up to the corner that the box of the samples' range may cut off.
-    inner = r[r < 3.3]
-    assert kstest((inner / 3.3) ** 2, "uniform").pvalue > 1e-3
-    angle = np.arctan2(theta[:, 1] / 0.03, (theta[:, 0] - 1.25) / 0.02)[r < 3.3]
+    inner = r[r < WELL_INSIDE]
+    assert kstest((inner / WELL_INSIDE) ** 2, "uniform").pvalue > 1e-3
+    angle = np.arctan2(theta[:, 1] / 0.03, (theta[:, 0] - 1.25) / 0.02)[r < WELL_INSIDE]
     assert kstest(angle, "uniform", (-np.pi, 2 * np.pi)).pvalue > 1e-3
 
 
@@ -171,7 +193,7 @@ def test_a_thin_diagonal_support_is_sampled_uniformly_too() -> None:
     assert support.contains(theta).all()
     z = np.linalg.solve(np.linalg.cholesky(0.05**2 * np.array([[1.0, 0.999], [0.999, 1.0]])), (theta - [1.25, 0.0]).T)
     r = np.hypot(*z)
-    assert kstest((r[r < 3.3] / 3.3) ** 2, "uniform").pvalue > 1e-3
+    assert kstest((r[r < WELL_INSIDE] / WELL_INSIDE) ** 2, "uniform").pvalue > 1e-3
 
 
 def test_a_support_of_one_parameter_is_an_interval() -> None:
@@ -185,8 +207,11 @@ def test_a_support_of_one_parameter_is_an_interval() -> None:
     support = Support.of(DirectPosterior(Line(), box(line)).set_default_x(torch.zeros(1, 1)), line)
     theta = truncated_prior(line, [support], 2000, np.random.default_rng(7))
     assert theta.shape == (2000, 1)
-    # A thousandth of a Gaussian's mass lies beyond 3.29 standard deviations.
-    assert 3.0 < np.abs(theta - 1.25).max() / 0.02 < 3.7
+    most, least = WIDENED * norm.isf(MASS_BEYOND / 2)
+    r = np.abs(theta - 1.25) / 0.02
+    assert r.max() < most
+    # Of n uniform draws none lies in the outer share s of the interval with probability (1 - s)^n, here 1e-6.
+    assert r.max() > least * 1e-6 ** (1 / len(theta))
 
 
 def test_draws_follow_torchs_seed() -> None:

@@ -115,6 +115,21 @@ def test_csv_keeps_every_digit_and_people_are_told_what_is_not_identified(tmp_pa
     tex = (tmp_path / "table.tex").read_text()
     assert r"$l_{f}$ & $h_{\mathrm{cog}}$ & $\Delta C_{\kappa}$" in tex
     assert tex.count(r"\toprule") == tex.count(r"\bottomrule") == 2
+    assert_is_a_latex_table(tex)
+
+
+def assert_is_a_latex_table(tex: str) -> None:
+    """Rows as wide as their columns; dollars and braces in pairs; nothing special to LaTeX, nor a hyphen, outside."""
+    body = re.sub(r"^%.*$", "", tex, flags=re.MULTILINE)
+    found = re.findall(r"\\begin{tabular}{(\w+)}\n(.*?)\\end{tabular}", body, flags=re.DOTALL)
+    assert len(found) == 2
+    for columns, rows in found:
+        widths = {line.count("&") + 1 for line in rows.splitlines() if line.endswith(r"\\")}
+        assert widths == {len(columns)}
+    assert body.count("{") == body.count("}")
+    assert body.count("$") % 2 == 0
+    outside = re.sub(r"\\\W|\$[^$]*\$", "", body)  # without escaped characters and formulae
+    assert not re.search(r"[_^%#~]|-\d|[^\x00-\x7f]", outside)
 
 
 def test_nominal_values_have_their_parameters_unit() -> None:
@@ -131,6 +146,27 @@ def test_the_screen_is_never_exceeded(length: int) -> None:
     text = tables.terminal(tables.posterior_table(space, drawn, true=np.append(0.0, TRUE), bound_std=np.full(4, 0.01)))
     assert max(map(len, text.splitlines())) <= tables.SCREEN_WIDTH
     assert all(p.name in text for p in space.parameters)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("-0.2 to -0.1", "−0.2 to −0.1"),
+        ("(-0.04 ± 0.07)", "(−0.04 ± 0.07)"),
+        ("-∞", "−∞"),
+        ("1e-05", "1e-05"),
+        ("SNPE-2, snake-case", "SNPE-2, snake-case"),
+    ],
+)
+def test_hyphens_of_numbers_become_minus_signs_and_others_stay(text: str, shown: str) -> None:
+    assert tables.minus(text) == shown
+    assert tables.minus(text, "$-$") == shown.replace("−", "$-$")
+
+
+def test_a_page_shows_powers_raised() -> None:
+    text = tables.html(tables.for_people(table().assign(unit=["m^2", "rad/(m/s^2)", "1e5 N"])))
+    for unit in ("<td>m<sup>2</sup></td>", "<td>rad/(m/s<sup>2</sup>)</td>", "<td>10<sup>5</sup> N</td>"):
+        assert unit in text
 
 
 @pytest.mark.parametrize(
@@ -267,33 +303,13 @@ def test_an_exception_in_mid_write_leaves_the_earlier_figure(
     assert [file.read_bytes() for file in tmp_path.iterdir()] == [b"earlier"]
 
 
-def test_a_flat_posterior_is_drawn_flat_up_to_the_priors_bounds() -> None:
-    """Mirrored kernels integrate to one over the box; the density of n uniform draws stays within its own noise."""
-    low, high = np.array([0.2]), np.array([0.6])
-    grid = np.linspace(0.2, 0.6, 401)
-    drawn = np.random.default_rng(0).uniform(0.2, 0.6, (5000, 1))
-    density = figures._density(drawn, grid[:, None], low, high)
-    assert np.trapezoid(density, grid) == pytest.approx(1.0, abs=1e-3)
-    # var f = f / (2 sqrt(pi) n h), twice that at a mirrored edge; h = sigma n^(-1/5), Scott's rule
-    h = drawn.std() * len(drawn) ** -0.2
-    noise = np.sqrt(2.0 * 2.5 / (2.0 * np.sqrt(np.pi) * len(drawn) * h))
-    np.testing.assert_allclose(density, 2.5, atol=5.0 * noise)
-
-
 def test_a_posterior_without_width_can_be_drawn(tmp_path: Path) -> None:
     figures.pairplot(np.full((50, 2), (1.2, 0.3)), ParameterSpace(SPACE.parameters[:2]), None, tmp_path / "figure.png")
     assert (tmp_path / "figure.png").exists()
 
 
-def test_contours_hold_the_mass_they_claim() -> None:
-    x = np.linspace(-6.0, 6.0, 601)
-    density = np.exp(-0.5 * (x[:, None] ** 2 + x[None] ** 2))
-    for mass in figures.MASSES:  # a 2-D normal holds `mass` where the density is above 1 - mass of its peak
-        assert figures._level(density, mass) == pytest.approx(1.0 - mass, abs=2e-3)
-
-
 def test_the_page_stands_alone_and_escapes_what_it_is_given(tmp_path: Path) -> None:
-    (tmp_path / "a.png").write_bytes(PNG)
+    draw("losses", tmp_path / "a.png")
     page.write_page(
         tmp_path / "report.html",
         title="a <car>",
@@ -305,5 +321,7 @@ def test_the_page_stands_alone_and_escapes_what_it_is_given(tmp_path: Path) -> N
     text = (tmp_path / "report.html").read_text()
     assert not re.search(r"(?:https?:)?//|@import|url\(|<script|<link", re.sub(r"base64,[^\"]*", "", text))
     assert "a &lt;car&gt;" in text
+    inches = 2.3 * 5  # of a figure of five columns
+    assert f'width="{round(inches * 96)}"' in text
     assert "C_alpha &lt; 1e5 &amp; so on" in text
     assert text.index('role="alert"') < text.index("<table") < text.index("<li>") < text.index("<img")

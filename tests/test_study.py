@@ -23,6 +23,7 @@ from vehicle_sbi.inference.training import Training
 TRUTH = {"l_f": 1.2, "delta_C_alpha_f": 0.1, "delta_C_alpha_r": -0.1}
 BASE: dict[str, Any] = {
     "vehicle": PAPER,
+    "model": "single_track",
     "drive": "torque",
     "prior": PRIOR,
     "effects": [],

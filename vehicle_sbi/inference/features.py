@@ -14,12 +14,13 @@ from torch import nn
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.embedding import StridedCNN
-from vehicle_sbi.inference.information import sensitivity
+from vehicle_sbi.inference.information import Sensitivity, sensitivity
 from vehicle_sbi.inference.simulator import Simulator
 
 Series = Float[np.ndarray, "n channels time"]
 Summary = Callable[[Series], np.ndarray]
 TINY = 1e-12
+BOUNDED = 4.0  # standard deviations to which a sharply weighted residual is drawn back
 INFORMATIVE = 1e-4  # information, in units of the prior's, below which a direction of the score is left out
 
 
@@ -97,15 +98,20 @@ def independent_rows(matrix: Float[np.ndarray, "p k"], tolerance: float = 1e-6) 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Compression by the score of the likelihood at a fiducial point, to one number per parameter that the data see.
+    """Compression by the score of the likelihood at a fiducial point, to two numbers per parameter that the data see.
 
     With J the sensitivities by parameters and nuisances a (in units of their spread and of the noise), r the residual
     against the noise-free simulation at the fiducial, and J'J = U diag(l) U', the features are the posterior mean of
     a linear model about the fiducial, a* + U (l + 1)^-1 U' J'r: the score J'r in the parameters' own coordinates
-    (Alsing & Wandelt 2018, Generalized massive optimal data compression). Weights are averaged over pilot
-    simulations, which keeps a zero crossing of the fiducial's own series from deciding everything, and take noise as
-    independent: whitening a slow residual would hand the decision to its fastest part, which a model explains worst.
-    What autocorrelation costs in certainty is in the simulations, so the network learns it.
+    (Alsing & Wandelt 2018, Generalized massive optimal data compression).
+
+    Noise that is a share of the signal is smallest where the signal crosses zero, so much of the information lies
+    there, at a moment that moves with theta. Hence two weightings: by the variance of the noise averaged over pilot
+    simulations, which no crossing dominates, and by its precision averaged over them, which is sharp at crossings and
+    whose residuals are bounded (`BOUNDED`), because a simulation that crosses elsewhere is off by hundreds there. Where
+    noise does not depend on the signal the two are one. Both take noise as independent: whitening a slow residual
+    would hand the decision to its fastest part, which a model explains worst. What autocorrelation costs in certainty
+    is in the simulations, so the network learns it.
     """
 
     recentred: bool = True
@@ -114,27 +120,44 @@ class Score:
         at = sensitivity(simulator, fiducial)
         if not np.isfinite(at.jacobian).all():
             raise InputError("features=score: the simulation at the fiducial point fails; narrow the prior")
-        noise, valid = simulator.noise, simulator.windows.valid
-        std = noise.std(np.sqrt(np.mean(np.square(pilot, dtype=float), axis=0)))
-        spread = np.concatenate([simulator.space.prior_std, np.ones(len(at.jacobian) - len(fiducial))])
-        scaled = np.where(valid, at.jacobian * spread[:, None, None] / std, 0.0).reshape(len(spread), -1)
-        values, vectors = np.linalg.eigh(scaled @ scaled.T)
-        seen = values > INFORMATIVE
-        if not seen.any():
-            raise InputError("features=score: this recording tells nothing about any free parameter")
-        mean = vectors[:, seen] / (values[seen] + 1.0) @ vectors[:, seen].T
-        rows = independent_rows(vectors[:, seen])  # as those of `mean`, which shrink as the data grow precise
-        projection = (mean[rows] @ scaled).astype(np.float32)
-        centre = (np.concatenate([fiducial, np.zeros(len(spread) - len(fiducial))]) / spread)[rows]
-
-        def compress(y: Series) -> Float[np.ndarray, "n k"]:
-            residual = np.where(valid, (y - at.y) / std, 0.0).astype(np.float32)
-            return centre + residual.reshape(len(y), projection.shape[1]) @ projection.T
-
-        return compress
+        std = simulator.noise.std(pilot)
+        robust = np.sqrt(np.mean(np.square(std, dtype=float), axis=0))
+        scores = [_linear_estimate(simulator, at, robust, bound=np.inf)]
+        if simulator.noise.share.any():
+            sharp = 1.0 / np.sqrt(np.mean(1.0 / np.square(std, dtype=float), axis=0))
+            scores.append(_linear_estimate(simulator, at, sharp, bound=BOUNDED))
+        return lambda y: np.concatenate([score(y) for score in scores], axis=1)
 
     def network(self, channels: int, time: int) -> nn.Module | None:
         return None
+
+
+def _linear_estimate(
+    simulator: Simulator, at: Sensitivity, std: Float[np.ndarray, "channels time"], *, bound: float
+) -> Summary:
+    """Parameters and nuisances, in units of their spread, that explain series about `at` under noise of `std`.
+
+    Residuals beyond `bound` standard deviations are drawn back to it smoothly.
+    """
+    valid, d = simulator.windows.valid, len(at.theta)
+    spread = np.concatenate([simulator.space.prior_std, np.ones(len(at.jacobian) - d)])
+    scaled = np.where(valid, at.jacobian * spread[:, None, None] / std, 0.0).reshape(len(spread), -1)
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
+    seen = values > INFORMATIVE
+    if not seen.any():
+        raise InputError("features=score: this recording tells nothing about any free parameter")
+    mean = vectors[:, seen] / (values[seen] + 1.0) @ vectors[:, seen].T
+    rows = independent_rows(vectors[:, seen])  # as those of `mean`, which shrink as the data grow precise
+    projection = (mean[rows] @ scaled).astype(np.float32)
+    centre = (np.concatenate([at.theta, np.zeros(len(spread) - d)]) / spread)[rows]
+
+    def estimate(y: Series) -> Float[np.ndarray, "n k"]:
+        residual = np.where(valid, (y - at.y) / std, 0.0).astype(np.float32)
+        if np.isfinite(bound):
+            residual = bound * np.tanh(residual / bound)
+        return centre + residual.reshape(len(y), projection.shape[1]) @ projection.T
+
+    return estimate
 
 
 @dataclass(frozen=True, kw_only=True)

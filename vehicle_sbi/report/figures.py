@@ -13,43 +13,47 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
-from scipy.stats import gaussian_kde
 
 from vehicle_sbi.files import write_atomically
 from vehicle_sbi.parameters import Parameter, ParameterSpace
-from vehicle_sbi.report.tables import NOT_IDENTIFIED, mean_and_std, symbol, unit_symbol
+from vehicle_sbi.report.density import density_in_box, level_of
+from vehicle_sbi.report.tables import NOT_IDENTIFIED, mean_and_std, minus, symbol, unit_symbol
 
 MEASURED, POSTERIOR, TRUTH, BOUND, PRIOR = "#333333", "#2b6ca3", "#c8322b", "#c98a13", "#d9d9d9"
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "axes.labelsize": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#888888",
-    "axes.linewidth": 0.8,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "xtick.color": "#555555",
-    "ytick.color": "#555555",
-    "legend.frameon": False,
     "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "axes.edgecolor": "#888888",
     "figure.facecolor": "white",
+    **dict.fromkeys(("axes.titlesize", "axes.labelsize"), 9.0),
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize"), 7.5),
+    **dict.fromkeys(("xtick.color", "ytick.color"), "#555555"),
 }
 DPI = 150
+Span = tuple[float, float]  # limits of an axis
 KDE_SAMPLES = 1000  # a density on a screen needs no more, and its cost grows with them
+PRIOR_EDGE: dict[str, Any] = {"color": "#999999", "linewidth": 0.9, "linestyle": "--"}
+NO_ANSWER = "#b5b5b5"
 MASSES = (0.95, 0.8, 0.6, 0.4, 0.2)  # shares of the posterior inside the filled contours
 _BLUES = LinearSegmentedColormap.from_list("posterior", ("#dbe9f5", POSTERIOR, "#123a5c"))
 
 
-def _save(figure: Figure, path: Path) -> None:
+def _save(figure: Figure, path: Path, legend: Sequence[Artist], *, columns: int = 4) -> None:
+    figure.legend(handles=list(legend), loc="outside upper center", ncols=columns)
     write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None}))
+
+
+def _key(label: str, color: str, **style: Any) -> Line2D:
+    return Line2D([], [], color=color, label=label, **style)
 
 
 def pairplot(
@@ -78,19 +82,23 @@ def pairplot(
                 _marginal(axis, thinned[:, row], space.parameters[row], spans[row], truth[row])
             elif row > column:
                 pair = [column, row]
-                _joint(axis, thinned[:, pair], space.low[pair], space.high[pair], spans[column], spans[row])
+                _joint(axis, thinned[:, pair], [space.parameters[k] for k in pair], [spans[k] for k in pair])
                 axis.plot(*truth[pair], "o", color=TRUTH, markersize=4.5, markeredgecolor="white", markeredgewidth=0.6)
             else:
                 _correlation(axis, correlation[row, column])
             _label(axis, space, row, column)
         figure.align_labels()
         zoomed = any(a > p.low or b < p.high for (a, b), p in zip(spans, space.parameters, strict=True))
-        handles = _pairplot_legend(true is not None, zoomed)
-        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles) if d > 4 else 2)
-        _save(figure, path)
+        keys = [
+            Patch(color=POSTERIOR, alpha=0.5, label="posterior"),
+            *([_key("true value", TRUTH, marker="o", markersize=4.5)] if true is not None else []),
+            _key("prior", **PRIOR_EDGE),
+            *([Patch(color=POSTERIOR, label="part of the prior shown")] if zoomed else []),
+        ]
+        _save(figure, path, keys, columns=len(keys) if d > 4 else 2)
 
 
-def _span(x: Float[np.ndarray, " n"], low: float, high: float, true: float) -> tuple[float, float]:
+def _span(x: Float[np.ndarray, " n"], low: float, high: float, true: float) -> Span:
     """Limits of an axis: the prior with a margin, or what holds posterior and truth where they are narrow in it."""
     first, last = np.nanmin([np.quantile(x, 0.001), true]), np.nanmax([np.quantile(x, 0.999), true])
     if last - first > 0.35 * (high - low):
@@ -101,24 +109,22 @@ def _span(x: Float[np.ndarray, " n"], low: float, high: float, true: float) -> t
     return max(middle - half, low - 0.15 * half), min(middle + half, high + 0.15 * half)
 
 
-def _marginal(axis: Axes, x: Float[np.ndarray, " n"], p: Parameter, span: tuple[float, float], true: float) -> None:
+def _marginal(axis: Axes, x: Float[np.ndarray, " n"], p: Parameter, span: Span, true: float) -> None:
     grid = np.linspace(max(span[0], p.low), min(span[1], p.high), 200)
-    density = _density(x[:, None], grid[:, None], np.array([p.low]), np.array([p.high]))
+    density = density_in_box(x[:, None], grid[:, None], np.array([p.low]), np.array([p.high]))
     axis.fill_between(grid, density, color=POSTERIOR, alpha=0.25, linewidth=0)
     axis.plot(grid, density, color=POSTERIOR, linewidth=1.4)
     level = 1.0 / (p.high - p.low)
-    axis.plot([p.low, p.low, p.high, p.high], [0.0, level, level, 0.0], color="#999999", linewidth=0.9, linestyle="--")
+    axis.plot([p.low, p.low, p.high, p.high], [0.0, level, level, 0.0], **PRIOR_EDGE)
     if np.isfinite(true):
         axis.axvline(true, color=TRUTH, linewidth=1.4)
-    axis.set_xlim(span)
-    axis.set_ylim(0.0, 1.25 * max(density.max(), level))
-    axis.set_yticks([])
+    axis.set(xlim=span, ylim=(0.0, 1.25 * max(density.max(), level)), yticks=[])
     axis.spines["left"].set_visible(False)
     if span[0] > p.low or span[1] < p.high:
         _place_in_prior(axis, p, span)
 
 
-def _place_in_prior(axis: Axes, p: Parameter, span: tuple[float, float]) -> None:
+def _place_in_prior(axis: Axes, p: Parameter, span: Span) -> None:
     """A strip at the top of a zoomed panel: the prior's range in grey, the part of it that the panel shows in blue."""
     strip = axis.inset_axes((0.0, 0.94, 1.0, 0.06), zorder=3)
     strip.axvspan(p.low, p.high, color=PRIOR, linewidth=0)
@@ -127,68 +133,22 @@ def _place_in_prior(axis: Axes, p: Parameter, span: tuple[float, float]) -> None
     strip.set_axis_off()
 
 
-def _joint(
-    axis: Axes,
-    xy: Float[np.ndarray, "n 2"],
-    low: Float[np.ndarray, "2"],
-    high: Float[np.ndarray, "2"],
-    x_span: tuple[float, float],
-    y_span: tuple[float, float],
-) -> None:
-    x, y = (
-        np.linspace(max(span[0], a), min(span[1], b), 60)
-        for span, a, b in zip((x_span, y_span), low, high, strict=True)
-    )
+def _joint(axis: Axes, xy: Float[np.ndarray, "n 2"], pair: Sequence[Parameter], spans: Sequence[Span]) -> None:
+    low, high = np.array([p.low for p in pair]), np.array([p.high for p in pair])
+    x, y = (np.linspace(max(a, p.low), min(b, p.high), 60) for (a, b), p in zip(spans, pair, strict=True))
     points = np.stack(np.meshgrid(x, y), axis=-1)
-    density = _density(xy, points.reshape(-1, 2), low, high).reshape(len(y), len(x))
-    levels = np.unique([*(_level(density, mass) for mass in MASSES), 1.001 * density.max()])
+    density = density_in_box(xy, points.reshape(-1, 2), low, high).reshape(len(y), len(x))
+    levels = np.unique([*(level_of(density, mass) for mass in MASSES), 1.001 * density.max()])
     axis.contourf(x, y, density, levels=levels, cmap=_BLUES)
-    for edge in (low[0], high[0]):
-        axis.axvline(edge, color="#999999", linewidth=0.9, linestyle="--")
-    for edge in (low[1], high[1]):
-        axis.axhline(edge, color="#999999", linewidth=0.9, linestyle="--")
-    axis.set_xlim(x_span)
-    axis.set_ylim(y_span)
-
-
-def _density(
-    samples: Float[np.ndarray, "n k"],
-    points: Float[np.ndarray, "m k"],
-    low: Float[np.ndarray, " k"],
-    high: Float[np.ndarray, " k"],
-) -> Float[np.ndarray, " m"]:
-    """Gaussian kernel density of samples in a box, mirrored at its faces.
-
-    Without the mirror images a flat posterior would seem to fall off towards the bounds of its prior. Faces that no
-    sample comes within four kernel widths of need none.
-    """
-    try:
-        kde = gaussian_kde(samples.T)
-    except np.linalg.LinAlgError:  # samples on a line or a point: widen them invisibly
-        spread = 1e-4 * (high - low) * np.random.default_rng(0).standard_normal(samples.shape)
-        kde = gaussian_kde((samples + spread).T)
-    reach = 4.0 * np.sqrt(np.diag(np.atleast_2d(kde.covariance)))
-    faces = [
-        [None, *([a] if x.min() < a + r else []), *([b] if x.max() > b - r else [])]
-        for x, a, b, r in zip(samples.T, low, high, reach, strict=True)
-    ]
-    images = [
-        np.column_stack([x if face is None else 2.0 * face - x for x, face in zip(points.T, at, strict=True)])
-        for at in product(*faces)
-    ]
-    return np.sum([kde(image.T) for image in images], axis=0)
-
-
-def _level(density: np.ndarray, mass: float) -> float:
-    """The density above which `mass` of the distribution lies."""
-    falling = np.sort(density, axis=None)[::-1]
-    share = np.cumsum(falling) / falling.sum()
-    return float(falling[min(int(np.searchsorted(share, mass)), falling.size - 1)])
+    for left, lower in (low, high):
+        axis.axvline(left, **PRIOR_EDGE)
+        axis.axhline(lower, **PRIOR_EDGE)
+    axis.set(xlim=spans[0], ylim=spans[1])
 
 
 def _correlation(axis: Axes, value: float) -> None:
     axis.text(
-        0.5, 0.5, f"{round(value, 2) + 0.0:.2f}".replace("-", "−"),
+        0.5, 0.5, minus(f"{round(value, 2) + 0.0:.2f}"),
         transform=axis.transAxes, ha="center", va="center", fontsize=8.0 + 5.0 * abs(value), color=MEASURED,
         alpha=0.5 + 0.5 * abs(value),
     )  # fmt: skip
@@ -197,40 +157,23 @@ def _correlation(axis: Axes, value: float) -> None:
 
 def _label(axis: Axes, space: ParameterSpace, row: int, column: int) -> None:
     """Names and units at the outer edge only, so that the panels stay close."""
-    axis.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]))
-    axis.xaxis.set_major_formatter(FuncFormatter(_tick))
-    if row > column:
-        axis.yaxis.set_major_formatter(FuncFormatter(_tick))
-        axis.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
-    if row == len(space) - 1:
-        axis.set_xlabel(name_with_unit(space.parameters[column].name, space.parameters[column].unit))
-    else:
-        axis.set_xticklabels([])
-    if column == 0 and row > 0:
-        axis.set_ylabel(name_with_unit(space.parameters[row].name, space.parameters[row].unit))
-    elif row > column:
-        axis.set_yticklabels([])
+    for one, ticks in ((axis.xaxis, 3), *([(axis.yaxis, 4)] if row > column else [])):
+        one.set_major_locator(MaxNLocator(ticks, steps=[1, 2, 2.5, 5, 10]))
+        one.set_major_formatter(FuncFormatter(_tick))
+    names = [_name_with_unit(p) for p in space.parameters]
+    last, first = row == len(space) - 1, column == 0 and row > 0
+    axis.set(xlabel=names[column] if last else "", ylabel=names[row] if first else "")
+    axis.tick_params(labelbottom=last, labelleft=first)
 
 
 def _tick(value: float, position: int | None = None) -> str:
     """A short number: a stiffness of 160000 would run into its neighbour."""
-    text = f"{value / 1e3:g}k" if abs(value) >= 1e4 else f"{value:g}"
-    return text.replace("-", "−")
+    return minus(f"{value / 1e3:g}k" if abs(value) >= 1e4 else f"{value:g}")
 
 
-def name_with_unit(name: str, unit: str) -> str:
+def _name_with_unit(p: Parameter) -> str:
     """An axis label: symbol and unit, an effect's parameter on a line of its own."""
-    return symbol(name).replace(": ", ":\n") + (f" [{unit_symbol(unit)}]" if unit_symbol(unit) else "")
-
-
-def _pairplot_legend(truth: bool, zoomed: bool) -> list[Patch | Line2D]:
-    handles: list[Patch | Line2D] = [Patch(color=POSTERIOR, alpha=0.5, label="posterior")]
-    if truth:
-        handles.append(Line2D([], [], color=TRUTH, marker="o", markersize=4.5, label="true value"))
-    handles.append(Line2D([], [], color="#999999", linestyle="--", label="prior"))
-    if zoomed:
-        handles.append(Patch(color=POSTERIOR, label="part of the prior shown"))
-    return handles
+    return symbol(p.name).replace(": ", ":\n") + (f" [{unit_symbol(p.unit)}]" if unit_symbol(p.unit) else "")
 
 
 def predictive(
@@ -269,8 +212,13 @@ def predictive(
             axis.set_xlabel("time [s]")
             axis.margins(x=0.01)
         figure.align_ylabels(axes[:, 0])
-        figure.legend(handles=_predictive_legend(bool(np.all(valid))), loc="outside upper center", ncols=4)
-        _save(figure, path)
+        keys = [
+            _key("recorded", MEASURED, linewidth=1.0),
+            _key("predicted median", POSTERIOR),
+            Patch(facecolor="#bfd3e6", edgecolor=POSTERIOR, label="90 % of predictions"),
+            *([] if np.all(valid) else [Patch(color=PRIOR, label="not used")]),
+        ]
+        _save(figure, path, keys)
 
 
 def _broken(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -287,10 +235,8 @@ def _band(axis: Axes, t: np.ndarray, y: np.ndarray, low: np.ndarray, middle: np.
 
 
 def _shade(axis: Axes, t: np.ndarray, masked: np.ndarray) -> None:
-    whole_height = axis.get_xaxis_transform()
-    axis.fill_between(
-        t, 0, 1, where=list(masked), transform=whole_height, color=PRIOR, alpha=0.8, linewidth=0, zorder=0
-    )
+    look: dict[str, Any] = {"color": PRIOR, "alpha": 0.8, "linewidth": 0, "zorder": 0}
+    axis.fill_between(t, 0, 1, where=list(masked), transform=axis.get_xaxis_transform(), **look)
 
 
 def _fit(axis: Axes, shown: np.ndarray) -> None:
@@ -299,15 +245,6 @@ def _fit(axis: Axes, shown: np.ndarray) -> None:
     if shown.size:
         margin = 0.06 * np.ptp(shown) or 1.0
         axis.set_ylim(shown.min() - margin, shown.max() + margin)
-
-
-def _predictive_legend(all_valid: bool) -> list[Patch | Line2D]:
-    handles: list[Patch | Line2D] = [
-        Line2D([], [], color=MEASURED, linewidth=1.0, label="recorded"),
-        Line2D([], [], color=POSTERIOR, label="predicted median"),
-        Patch(facecolor="#bfd3e6", edgecolor=POSTERIOR, label="90 % of predictions"),
-    ]
-    return handles if all_valid else [*handles, Patch(color=PRIOR, label="not used")]
 
 
 def losses(history: Sequence[Sequence[Mapping[str, Sequence[float]]]], path: Path) -> None:
@@ -331,13 +268,12 @@ def losses(history: Sequence[Sequence[Mapping[str, Sequence[float]]]], path: Pat
             axis.set_ylabel("loss")
         for axis in axes[len(history) :]:
             axis.set_axis_off()
-        handles = [
-            Line2D([], [], color=MEASURED, linewidth=1.0, label="training"),
-            Line2D([], [], color=POSTERIOR, label="validation"),
-            Line2D([], [], color=POSTERIOR, marker="o", linestyle="", markerfacecolor="white", label="kept"),
+        keys = [
+            _key("training", MEASURED, linewidth=1.0),
+            _key("validation", POSTERIOR),
+            _key("kept", POSTERIOR, marker="o", linestyle="", markerfacecolor="white"),
         ]
-        figure.legend(handles=handles, loc="outside upper center", ncols=3)
-        _save(figure, path)
+        _save(figure, path, keys)
 
 
 def _loss_curves(axis: Axes, member: Mapping[str, Sequence[float]]) -> None:
@@ -366,11 +302,11 @@ def contraction_bars(table: pd.DataFrame, path: Path) -> None:
         figure = Figure(figsize=(8.0, 0.42 * len(table) + 1.3), layout="constrained")
         axis = figure.subplots()
         axis.set_xscale("log")
-        colors = np.where(known, POSTERIOR, "#b5b5b5")
+        colors = np.where(known, POSTERIOR, NO_ANSWER)
         axis.barh(at, np.maximum(share - start, 0.0), left=start, height=0.5, color=colors)
         shown = np.isfinite(bound) & (bound < 1.0)
         axis.vlines(bound[shown], at[shown] - 0.36, at[shown] + 0.36, color=BOUND, linewidth=3.0)
-        axis.axvline(1.0, color="#777777", linewidth=1.0, linestyle="--")
+        axis.axvline(1.0, **PRIOR_EDGE)
         axis.set_xlim(start, max(1.3, 1.1 * share.max()))
         axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.xaxis.set_major_formatter(FuncFormatter(_tick))
@@ -381,21 +317,17 @@ def contraction_bars(table: pd.DataFrame, path: Path) -> None:
         axis.set_xlabel("standard deviation / prior's standard deviation")
         for height, text in zip(at, _remarks(table), strict=True):
             axis.annotate(text, (1.02, height), xycoords=("axes fraction", "data"), va="center", fontsize=8.5)
-        figure.legend(handles=_bars_legend(bool(known.all())), loc="outside upper center", ncols=4)
-        _save(figure, path)
+        keys = [
+            Patch(color=POSTERIOR, label="posterior"),
+            _key("Cramér-Rao bound", BOUND, linewidth=3.0),
+            _key("prior", **PRIOR_EDGE),
+            *([] if known.all() else [Patch(color=NO_ANSWER, label="not identified")]),
+        ]
+        _save(figure, path, keys)
 
 
 def _remarks(table: pd.DataFrame) -> Iterator[str]:
     for unit, mean, std, identified in table[["unit", "mean", "std", "identified"]].to_numpy():
-        value, shown = mean_and_std(mean, std), unit_symbol(unit)
+        value, shown = minus(mean_and_std(mean, std)), unit_symbol(unit)
         quantity = f"({value}) {shown}" if shown.startswith("$10") else f"{value} {shown}"
         yield quantity if identified else NOT_IDENTIFIED
-
-
-def _bars_legend(all_identified: bool) -> list[Patch | Line2D]:
-    handles: list[Patch | Line2D] = [
-        Patch(color=POSTERIOR, label="posterior"),
-        Line2D([], [], color=BOUND, linewidth=3.0, label="Cramér-Rao bound"),
-        Line2D([], [], color="#777777", linestyle="--", label="prior"),
-    ]
-    return handles if all_identified else [*handles, Patch(color="#b5b5b5", label="not identified")]

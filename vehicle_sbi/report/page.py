@@ -6,6 +6,10 @@ from html import escape
 from pathlib import Path
 
 from vehicle_sbi.files import write_text
+from vehicle_sbi.report.figures import DPI
+from vehicle_sbi.report.tables import LEGEND
+
+CSS_PIXELS_PER_INCH = 96
 
 _CSS = """
 :root { color-scheme: light; }
@@ -19,10 +23,14 @@ h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem; }
 table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .35rem .8rem; text-align: right; border-bottom: 1px solid #e3e3e3; white-space: nowrap; }
 th { border-bottom: 2px solid #888; font-weight: 600; }
-th:first-child, td:first-child { text-align: left; }
+th:first-child, td:first-child, th:nth-child(2), td:nth-child(2), th:last-child, td:last-child { text-align: left; }
+th:first-child, td:first-child { padding-left: 0; }
+th:last-child, td:last-child { padding-right: 0; }
+sup { font-size: .75em; line-height: 0; }
 figure { margin: 1.2rem 0 2rem; }
-figcaption { color: #555; font-size: .9rem; }
+figcaption, .legend { color: #555; font-size: .9rem; }
 img { max-width: 100%; height: auto; }
+@media print { figure { break-inside: avoid; } h2 { break-after: avoid; } }
 """
 
 
@@ -44,7 +52,7 @@ def write_page(
     parts = [
         f"<h1>{escape(title)}</h1>",
         f'<section class="warnings" role="alert">{alarm}</section>' if alarm else "",
-        f'<h2>Parameters</h2>\n<div class="table">{table_html}</div>',
+        f'<h2>Parameters</h2>\n<div class="table">{table_html}</div>\n<p class="legend">{escape(LEGEND)}</p>',
         f"<h2>Notes</h2>\n<ul>\n{listed}</ul>" if listed else "",
         "<h2>Figures</h2>" if figures else "",
         *(_figure(caption, file) for caption, file in figures.items()),
@@ -56,6 +64,9 @@ def write_page(
 
 
 def _figure(caption: str, file: Path) -> str:
-    data = b64encode(file.read_bytes()).decode()
-    text = escape(caption)
-    return f'<figure><img alt="{text}" src="data:image/png;base64,{data}"><figcaption>{text}</figcaption></figure>'
+    """The picture at the size it was drawn in, so that the letters of all pictures are of one size."""
+    data, text = file.read_bytes(), escape(caption)
+    pixels = int.from_bytes(data[16:20], "big")  # of its IHDR chunk: https://www.w3.org/TR/png-3/#11IHDR
+    source = f"data:image/png;base64,{b64encode(data).decode()}"
+    width = round(pixels * CSS_PIXELS_PER_INCH / DPI)
+    return f'<figure><img alt="{text}" width="{width}" src="{source}"><figcaption>{text}</figcaption></figure>'

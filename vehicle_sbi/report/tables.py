@@ -30,6 +30,10 @@ NOT_IDENTIFIED = "not identified by this recording"
 # estimator that is merely a little too narrow does not either.
 IDENTIFIED_CONTRACTION = 0.25
 SCREEN_WIDTH = 110
+LEGEND = (
+    "bound: Cramér-Rao bound of the standard deviation, which knows no prior: where that helps, a posterior may be "
+    "narrower; contraction: 1 − (posterior std / prior std)²."
+)
 
 _GREEK = ("alpha", "beta", "gamma", "delta", "kappa", "lambda", "mu", "omega", "psi", "rho", "sigma", "tau", "zeta")
 
@@ -118,6 +122,11 @@ def unit_symbol(unit: str) -> str:
     return "" if unit == "1" else re.sub(r"\^(-?\d)", r"$^{\1}$", raised)
 
 
+def minus(text: str, sign: str = "−") -> str:
+    """The text with the hyphens before its numbers as minus signs; those in names and exponents stay."""
+    return re.sub(r"(?<![\w.])-(?=[\d∞.])", lambda _: sign, text)
+
+
 def for_people(table: pd.DataFrame) -> pd.DataFrame:
     """The table in words and rounded numbers; all columns are text, the truth's is left out where none is known."""
     shown = {
@@ -183,13 +192,14 @@ def markdown(frame: pd.DataFrame) -> str:
 
 
 def html(frame: pd.DataFrame) -> str:
-    """A frame of text as an HTML table, escaped."""
-    return frame.to_html(index=False, border=0, escape=True)
+    """A frame of text as an HTML table: escaped, with minus signs, and with powers (1e5 N, m^2) raised."""
+    table = minus(frame.to_html(index=False, border=0, escape=True))
+    return re.sub(r"\^(-?\d+)", r"<sup>\1</sup>", re.sub(r"(?<=>)1e(\d+)", r"10<sup>\1</sup>", table))
 
 
 def nominal_for_people(nominal: pd.DataFrame) -> pd.DataFrame:
     """`nominal_table` as text."""
-    noise = ["none" if np.isnan(value) else f"{value:g}" for value in nominal["noise_percent"]]
+    noise = ["none" if np.isnan(value) else f"{value:.3g}" for value in nominal["noise_percent"]]
     return pd.DataFrame(
         {
             "quantity": nominal["quantity"],
@@ -205,7 +215,7 @@ def write_tables(folder: Path, table: pd.DataFrame, nominal: pd.DataFrame, notes
     write_text(folder / "table.csv", table.to_csv(index=False))
     parts = [
         "# Posterior\n", markdown(for_people(table)),
-        "bound: Cramér-Rao bound of the standard deviation; contraction: 1 − (posterior std / prior std)².\n",
+        LEGEND + "\n",
         "# Nominal values and process noise\n", markdown(nominal_for_people(nominal)),
     ]  # fmt: skip
     remarks = ["# Notes\n", "\n".join(f"- {note}" for note in notes) + "\n"] if notes else []
@@ -243,7 +253,7 @@ def _tex(table: pd.DataFrame, nominal: pd.DataFrame, notes: Sequence[str]) -> st
 
 
 def _tabular(head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
-    body = [" & ".join([name, *cells]) + r" \\" for name, cells in rows.items()]
+    body = [" & ".join([name, *(minus(cell, "$-$") for cell in cells)]) + r" \\" for name, cells in rows.items()]
     return "\n".join(
         [
             rf"\begin{{tabular}}{{l{'r' * len(head)}}}",
