@@ -122,7 +122,9 @@ def main() -> None:
         for name, end in ends.items():
             end.send(True)
             seconds[name].append(end.recv())
-    lines = [f"{SIMULATIONS} simulations of {SAMPLES} samples, {os.cpu_count()} cores, {date.today()}, {platform.platform()}"]
+    lines = [
+        f"{SIMULATIONS} simulations of {SAMPLES} samples, {os.cpu_count()} cores, {date.today()}, {platform.platform()}"
+    ]
     for name, end in ends.items():
         end.send(False)
         first, rest = seconds[name][0], seconds[name][1:]
@@ -131,7 +133,9 @@ def main() -> None:
             f"first call {first:.1f} s with an empty cache; peak memory {end.recv():.0f} MB"
         )
     pairs = np.divide(seconds["single_track"][1:], seconds["bare"][1:])
-    lines.append(f"the catalogue at its null costs {np.median(pairs):.2f} times the bare model (median of {REPEATS} pairs)")
+    lines.append(
+        f"the catalogue at its null costs {np.median(pairs):.2f} times the bare model (median of {REPEATS} pairs)"
+    )
     lines.append(f"simulations_per_second: {SIMULATIONS / np.median(seconds['single_track'][1:]):.0f}")
     print("\n".join(lines))
     if "--record" in sys.argv:

@@ -1,8 +1,8 @@
 """docs/effects.md: the catalogue of effects, its equations, parameters and pictures, written anew."""
 
-from pathlib import Path
-
 from _entry import launch  # first: it sets the number of threads
+
+from pathlib import Path
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig

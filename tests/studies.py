@@ -50,7 +50,7 @@ def simulator(
         windows = replace(windows, x0_std=np.zeros(3))
     return Simulator(
         nominal=nominal_record(PAPER),
-        space=parameter_space(prior or PRIOR, vehicle=PAPER),
+        space=parameter_space(prior or PRIOR, vehicle=PAPER, model="single_track"),
         model="single_track",
         drive="torque",
         windows=windows,

@@ -26,7 +26,7 @@ from vehicle_sbi.inference.proposal import (
     truncated_prior,
 )
 
-SPACE = parameter_space({"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3]}, vehicle=PAPER)
+SPACE = parameter_space({"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3]}, vehicle=PAPER, model="single_track")
 
 
 class Gaussian(ConditionalDensityEstimator):
@@ -197,7 +197,7 @@ def test_a_thin_diagonal_support_is_sampled_uniformly_too() -> None:
 
 
 def test_a_support_of_one_parameter_is_an_interval() -> None:
-    line = parameter_space({"l_f": [1.0, 1.5]}, vehicle=PAPER)
+    line = parameter_space({"l_f": [1.0, 1.5]}, vehicle=PAPER, model="single_track")
 
     class Line(Gaussian):
         def __init__(self) -> None:

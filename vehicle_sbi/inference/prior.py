@@ -58,7 +58,9 @@ def _bounds(name: str, value: Any) -> tuple[float, float]:
     return low, high
 
 
-def parameter_space(prior: Mapping[str, Any], *, vehicle: Vehicle, model: str, effects: Sequence[str] = ()) -> ParameterSpace:
+def parameter_space(
+    prior: Mapping[str, Any], *, vehicle: Vehicle, model: str, effects: Sequence[str] = ()
+) -> ParameterSpace:
     """The free parameters: those of the prior file, those of the effects, and what the vehicle file leaves out.
 
     Raises InputError for an unknown name, a box with low >= high, or one in which no vehicle exists.

@@ -125,7 +125,9 @@ class Study:
         )
         corners = np.stack([space.low, (space.low + space.high) / 2, space.high])
         records = space.records(corners, simulator.nominal)
-        return replace(simulator, substeps=substeps_for(records, self.drive, _slowest(simulator), windows.rate, model=self.model))
+        return replace(
+            simulator, substeps=substeps_for(records, self.drive, _slowest(simulator), windows.rate, model=self.model)
+        )
 
     def _truth(self, space: ParameterSpace) -> Float[np.ndarray, " d"]:
         if self.truth is not None:

@@ -1,4 +1,4 @@
-"""The catalogue of effects as a page: what each means, its equation and parameters, and what it does to each channel."""
+"""The catalogue of effects as a page: what each means, its equation, parameters, and what it does to each channel."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -102,9 +102,9 @@ def page(car: str, drive: str) -> str:
     parts = [
         "# The catalogue of effects",
         "",
-        "What a simple model leaves out. Every effect is always compiled in; at its null it vanishes exactly. Free some",
-        "with `effects=[aero_drag,road_grade]`, or state their priors: `+prior.aero_drag.area=[0,1]`. Times count from",
-        "the recording's first sample.",
+        "What a simple model leaves out. Every effect is always compiled in; at its null it vanishes exactly. Free",
+        "some with `effects=[aero_drag,road_grade]`, or state their priors: `+prior.aero_drag.area=[0,1]`. Times",
+        "count from the recording's first sample.",
         "",
         f"The pictures: {car} in {drive}; grey without the effect, blue with it.",
         "This page is written by `python scripts/catalogue.py` from `vehicle_sbi/physics/effects.py`.",
