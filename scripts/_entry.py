@@ -60,8 +60,9 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 CONF = Path(__file__).resolve().parent.parent / "conf"
 FILES: Mapping[str, tuple[str, ...]] = {"recording": (".csv", ".txt", ".parquet", ".vbo"), "vehicle": (".yaml", ".yml")}
 LONGEST_NAME = 120  # characters; file systems allow 255 for a folder
-REFUSALS = {
-    errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM,
+NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+REFUSALS = NO_ROOM | {
+    errno.EROFS, errno.EACCES, errno.EPERM,
     errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST,
 }  # fmt: skip
 SCALARS: Mapping[type, tuple[str, tuple[type, ...]]] = {
@@ -236,7 +237,7 @@ def _in_sweep() -> str:
 def sentence(error: Exception) -> str | None:
     """The line that tells the user what to change, or None if `error` is not about what the user gave."""
     origin = error.__cause__ or error.__context__  # torch turns a full disk into an error of its own
-    return sentence(origin) if isinstance(origin, OSError) and origin.errno == errno.ENOSPC else None
+    return sentence(origin) if isinstance(origin, OSError) and origin.errno in NO_ROOM else None
 
 
 @sentence.register
