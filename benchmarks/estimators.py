@@ -50,15 +50,13 @@ COMPARED = 2000
 SEED = 100  # of the drawn truth; the scored benchmark has others
 
 CASES: dict[str, tuple[DensityEstimator, Features, Scheme]] = {
-    "mdn, score, truncated": (MixtureDensityNetwork(), Score(), Truncated()),
     "nsf, score, truncated": (NeuralSplineFlow(), Score(), Truncated()),
+    "mdn, score, truncated": (MixtureDensityNetwork(), Score(), Truncated()),
     "zuko_maf, score, truncated": (MaskedAutoregressiveFlow(model="zuko_maf"), Score(), Truncated()),
-    "mdn, score, corrected": (MixtureDensityNetwork(), Score(), Corrected()),
     "nsf, score, corrected": (NeuralSplineFlow(), Score(), Corrected()),
-    "nsf, score, amortised": (NeuralSplineFlow(), Score(), Amortised()),
-    "mdn, handcrafted, truncated": (MixtureDensityNetwork(), Handcrafted(), Truncated()),
     "nsf, handcrafted, truncated": (NeuralSplineFlow(), Handcrafted(), Truncated()),
-    "maf, score, truncated": (MaskedAutoregressiveFlow(), Score(), Truncated()),
+    "nsf, score, amortised": (NeuralSplineFlow(), Score(), Amortised()),
+    "mdn, score, corrected": (MixtureDensityNetwork(), Score(), Corrected()),
     "mdn, embedding, truncated": (MixtureDensityNetwork(), Embedding(), Truncated()),
 }
 

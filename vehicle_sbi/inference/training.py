@@ -121,8 +121,8 @@ class Decay:
 class Training:
     """How a network is trained in each round; `members` networks from different seeds make an ensemble."""
 
-    batch_size: int = 500
-    learning_rate: float = 1e-3
+    batch_size: int = 200
+    learning_rate: float = 3e-3
     stop_after_epochs: int = 15
     max_epochs: int = 120
     validation_fraction: float = 0.1
