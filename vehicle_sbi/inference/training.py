@@ -13,7 +13,7 @@ from sbi.inference.posteriors import DirectPosterior
 from sbi.neural_nets.estimators.base import ConditionalDensityEstimator, ConditionalEstimatorBuilder
 from torch import Tensor
 from torch.distributions import Distribution
-from torch.optim.lr_scheduler import ReduceLROnPlateau
+from torch.optim.lr_scheduler import CosineAnnealingLR
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import Builder, Embedded
@@ -55,14 +55,17 @@ class NoTracker:
 
 
 class Npe(NPE_C):
-    """NPE-C with a learning rate that decays; it calls `seen(epoch, validation_loss)` after every epoch."""
+    """NPE-C with a learning rate that falls to zero as a cosine over `epochs`.
 
-    def __init__(self, prior: Distribution, build: Builder, seen: EpochSeen, decay: "Decay") -> None:
+    It calls `seen(epoch, validation_loss)` after every epoch.
+    """
+
+    def __init__(self, prior: Distribution, build: Builder, seen: EpochSeen, epochs: int) -> None:
         named = cast(
             ConditionalEstimatorBuilder[ConditionalDensityEstimator], build
         )  # sbi calls (theta, x) by position
         super().__init__(prior=prior, density_estimator=named, tracker=NoTracker(), show_progress_bars=False)
-        self._seen, self._decay = seen, decay
+        self._seen, self._epochs = seen, epochs
 
     def get_dataloaders(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, starting_round=0, training_batch_size=200, validation_fraction=0.1, *args, **kwargs
@@ -94,8 +97,8 @@ class Npe(NPE_C):
     def _summarize_epoch(self, train_loss, val_loss, epoch_start_time, summarization_kwargs):
         super()._summarize_epoch(train_loss, val_loss, epoch_start_time, summarization_kwargs)
         if self.epoch == 0:
-            self._schedule = ReduceLROnPlateau(self.optimizer, factor=self._decay.factor, patience=self._decay.patience)
-        self._schedule.step(val_loss)
+            self._schedule = CosineAnnealingLR(self.optimizer, self._epochs)
+        self._schedule.step()
         self._seen(self.epoch + 1, float(val_loss))
 
     def _report_convergence_at_end(self, epoch: int, max_num_epochs: int) -> None:
@@ -103,26 +106,16 @@ class Npe(NPE_C):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Decay:
-    """The learning rate is multiplied by `factor` after `patience` epochs without a better validation loss."""
-
-    factor: float = 0.3
-    patience: int = 5
-
-    def __post_init__(self) -> None:
-        if not (0 < self.factor < 1 and self.patience >= 0):
-            raise InputError(
-                f"training.decay: factor {self.factor:g} must lie between 0 and 1, "
-                f"patience {self.patience} not be negative"
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
 class Training:
-    """How a network is trained in each round; `members` networks from different seeds make an ensemble."""
+    """How a network is trained in each round; `members` networks from different seeds make an ensemble.
+
+    A round takes about `steps` gradient steps, whatever the number of its simulations, and at most `max_epochs`; it
+    stops earlier where the validation loss has not improved for `stop_after_epochs`, and keeps the best epoch.
+    """
 
     batch_size: int = 200
     learning_rate: float = 3e-3
+    steps: int = 1500
     stop_after_epochs: int = 15
     max_epochs: int = 120
     validation_fraction: float = 0.1
@@ -130,19 +123,26 @@ class Training:
     atoms: int = 10
     discard_prior_samples: bool = False
     members: int = 1
-    decay: Decay = Decay()
 
     def __post_init__(self) -> None:
         if not (self.members >= 1 and self.batch_size >= 2 and self.atoms >= 2 and self.learning_rate > 0):
             raise InputError(
                 "training: members must be at least 1, batch_size and atoms at least 2, learning_rate positive"
             )
+        if self.steps < 1:
+            raise InputError(f"training.steps = {self.steps}; it must be at least 1")
         if not (self.max_epochs >= 2 and self.stop_after_epochs >= 1 and self.clip_max_norm > 0):
             raise InputError("training: max_epochs must be at least 2, stop_after_epochs 1, and clip_max_norm positive")
         if not 0 < self.validation_fraction < 1:
             raise InputError(
                 f"training.validation_fraction = {self.validation_fraction:g}; it must lie between 0 and 1"
             )
+
+
+    def epochs(self, simulations: int) -> int:
+        """Passes over the training part of that many simulations that make up `steps`, at least 2."""
+        batches = max(1, int((1 - self.validation_fraction) * simulations) // self.batch_size)
+        return min(self.max_epochs, max(2, -(-self.steps // batches)))
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,8 @@ def fit(
 ) -> Fit:
     """Train one network on all rounds; plain likelihood if every round came from the prior, else NPE-C's loss."""
     seed_torch(seed=seed, stream=Stream.TRAINING, round=round, index=member)
-    trainer = Npe(prior, build, seen, training.decay)
+    epochs = training.epochs(sum(len(simulations.theta) for simulations in rounds))
+    trainer = Npe(prior, build, seen, epochs)
     for simulations in rounds:
         trainer.append_simulations(simulations.theta, simulations.x, proposal=simulations.proposal)
     estimator = trainer.train(
@@ -185,7 +186,7 @@ def fit(
         learning_rate=training.learning_rate,
         validation_fraction=training.validation_fraction,
         stop_after_epochs=training.stop_after_epochs,
-        max_num_epochs=training.max_epochs - 1,  # sbi runs one more
+        max_num_epochs=epochs - 1,  # sbi runs one more
         clip_max_norm=training.clip_max_norm,
         discard_prior_samples=training.discard_prior_samples,
     )
