@@ -11,13 +11,13 @@ from torch import Tensor, nn
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import Builder, Embedded, MaskedAutoregressiveFlow, NeuralSplineFlow, behind
-from vehicle_sbi.inference.training import Batches, Decay, Fit, Npe, Simulations, Training, fit
+from vehicle_sbi.inference.training import Batches, Fit, Npe, Simulations, Training, fit
 
 # theta uniform in a box, x = theta + noise: the posterior is a Gaussian cut off by the box in each dimension.
 LOW, HIGH = torch.tensor([0.0, -1.0]), torch.tensor([1.0, 1.0])
 NOISE = torch.tensor([0.15, 0.2])
 X_O = torch.tensor([[0.9, 0.1]])  # the first is cut off by the box
-QUICK = Training(batch_size=100, learning_rate=5e-3, stop_after_epochs=8, max_epochs=60, decay=Decay(patience=3))
+QUICK = Training(batch_size=100, learning_rate=5e-3, steps=600, stop_after_epochs=8, max_epochs=60)
 FLOW = NeuralSplineFlow(hidden_features=20, num_transforms=2, num_bins=5)
 
 
@@ -95,9 +95,7 @@ def test_the_corrected_loss_finds_the_same_posterior_from_a_proposal_that_is_not
     if embedded:
         torch.manual_seed(0)
         build = behind(nn.Linear(2, 6), build)
-    training = Training(
-        batch_size=100, learning_rate=2e-3, stop_after_epochs=20, max_epochs=80, atoms=10, decay=Decay(patience=6)
-    )
+    training = Training(batch_size=100, learning_rate=2e-3, stop_after_epochs=20, max_epochs=80, atoms=10)
     first = Simulations(theta, simulated(theta, 1))
     proposal = posterior_of(trained([first], QUICK, build, prior=prior), prior)
     proposal = proposal.set_default_x(X_O - 1.5 * NOISE)
@@ -179,7 +177,7 @@ def test_the_atomic_loss_embeds_each_x_once_and_is_sbis() -> None:
 
 def _two_round_trainer(prior, build, theta, x, proposal):
     losses: list[float] = []
-    trainer = Npe(prior, build, lambda epoch, loss: losses.append(loss), Decay())
+    trainer = Npe(prior, build, lambda epoch, loss: losses.append(loss), 2)
     trainer.append_simulations(theta, x, proposal=None)
     trainer.append_simulations(theta, x, proposal=proposal)
     trainer.train(num_atoms=10, max_num_epochs=1, training_batch_size=60)
@@ -208,6 +206,7 @@ WRONG = {
     "rate": ({"learning_rate": 0.0}, "learning_rate positive"),
     "rate that is no number": ({"learning_rate": float("nan")}, "learning_rate positive"),
     "validation": ({"validation_fraction": 1.0}, "validation_fraction = 1; it must lie between 0 and 1"),
+    "steps": ({"steps": 0}, "training.steps = 0; it must be at least 1"),
     "epochs": ({"max_epochs": 1}, "max_epochs"),
     "stop": ({"stop_after_epochs": 0}, "stop_after_epochs"),
     "clip": ({"clip_max_norm": 0.0}, "clip_max_norm"),
@@ -221,7 +220,23 @@ def test_bad_training_is_refused(case: str) -> None:
         Training(**given)
 
 
-@pytest.mark.parametrize("given", [{"factor": 1.0}, {"factor": 0.0}, {"factor": -0.1}, {"patience": -1}])
-def test_a_decay_that_does_not_decay_is_refused(given: dict) -> None:
-    with pytest.raises(InputError, match=r"training\.decay: factor .* must lie between 0 and 1"):
-        Decay(**given)
+@pytest.mark.parametrize(("simulations", "epochs"), [(1000, 120), (5000, 69), (15_000, 23), (2_000_000, 2)])
+def test_a_round_takes_its_steps_whatever_the_number_of_simulations(simulations: int, epochs: int) -> None:
+    # 1500 steps over batches of 200 out of nine tenths: 4 an epoch is too few for the cap, then 22, 67 and 9000.
+    assert Training().epochs(simulations) == epochs
+
+
+def test_the_learning_rate_ends_at_zero() -> None:
+    theta, rates = prior_draws(200), []
+
+    class Watched(Npe):
+        def _summarize_epoch(self, *args: object) -> None:
+            super()._summarize_epoch(*args)
+            rates.append(self.optimizer.param_groups[0]["lr"])
+
+    torch.manual_seed(1)
+    trainer = Watched(BoxUniform(LOW, HIGH), FLOW.builder(), lambda epoch, loss: None, 4)
+    trainer.append_simulations(theta, simulated(theta, 1))
+    trainer.train(max_num_epochs=3, learning_rate=1e-3, stop_after_epochs=10, training_batch_size=50)
+    # After each of four epochs: half a cosine from 1e-3 to nothing.
+    assert rates == pytest.approx([1e-3 * 0.5 * (1 + np.cos(np.pi * k / 4)) for k in range(1, 5)], abs=1e-12)
