@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/multibody.py            half a minute; results/multibody.md
 
-The multi-body car (commonroad-vehicle-models; Allen et al., the US DOT's model) has 29 states: a sprung and two unsprung
+The multi-body car (commonroad-vehicle-models, after a model of the US DOT) has 29 states: a sprung and two unsprung
 masses, compliant joints, camber, Pacejka tyres. It is driven by the same steering and wheel torques on its own
 parameter sets 1 to 3 (Ford Escort, BMW 320i, VW Vanagon), once on its own tyres and once on Dugoff's, which the full
 vehicle model has: what remains in the second case is the body's, what it adds in the first the tyre's. The largest
@@ -152,7 +152,7 @@ def multibody(p: Any) -> dict[str, np.ndarray]:
 
 
 def full_vehicle(p: Any, delta: np.ndarray, **effects: float) -> dict[str, np.ndarray]:
-    """CHANNELS of the full vehicle model under the same road-wheel angle and torques, effects at their null or as given."""
+    """CHANNELS of the full vehicle model under the same road-wheel angle and torques, with effects as given."""
     t, _, braking = commands()
     car = vehicle_of(p, "car")
     record = np.full(1, nominal_record(car), dtype=RECORD)
