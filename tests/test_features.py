@@ -8,7 +8,15 @@ import torch
 from studies import PRIOR, constant_noise, paper_process, repeated, simulator
 
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.inference.features import Embedding, Features, Handcrafted, Score, correlations, independent_rows
+from vehicle_sbi.inference.features import (
+    Embedding,
+    Features,
+    Handcrafted,
+    Linearised,
+    Score,
+    correlations,
+    independent_rows,
+)
 from vehicle_sbi.inference.information import fisher, joint_fisher, sensitivity
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.rng import Stream
@@ -147,8 +155,8 @@ def test_the_score_is_the_posterior_mean_of_the_linear_model() -> None:
     np.testing.assert_allclose(x, MIDDLE / std + pulled, atol=0.02 * 0.05)
 
 
-def test_noise_that_follows_the_signal_is_weighted_in_two_ways_one_of_them_bounded() -> None:
-    # A sample that is off by thousands of standard deviations counts in full in the first half and as BOUNDED in the
+def test_noise_that_follows_the_signal_is_weighted_in_three_ways_one_of_them_unbounded() -> None:
+    # A sample that is off by thousands of standard deviations counts in full in the first third and as BOUNDED in the
     # second, where making it ten times worse changes nothing (tanh is 1 to double precision from 20 on).
     sim = simulator()
     noise = constant_noise(sim.windows)
@@ -157,11 +165,37 @@ def test_noise_that_follows_the_signal_is_weighted_in_two_ways_one_of_them_bound
     summary, kick = Score().fit(sim, MIDDLE, y), np.zeros_like(y)
     kick[0, 1, 100] = 1e4 * float(sim.noise.std(y)[0, 1, 100])
     good, bad, worse = (summary(y + k * kick)[0] for k in (0.0, 1.0, 10.0))
-    assert good.shape == (6,)
+    assert good.shape == (9,)
     np.testing.assert_allclose((worse - good)[:3], 10.0 * (bad - good)[:3], rtol=1e-4)
-    np.testing.assert_array_equal(worse[3:], bad[3:])
-    assert (np.abs(bad - good)[3:] > 0.0).any()
-    assert np.abs(bad - good)[3:].max() < 1e-2 * np.abs(bad - good)[:3].max()
+    np.testing.assert_array_equal(worse[3:6], bad[3:6])
+    assert (np.abs(bad - good)[3:6] > 0.0).any()
+    assert np.abs(bad - good)[3:6].max() < 1e-2 * np.abs(bad - good)[:3].max()
+
+
+def test_the_reweighted_fit_is_the_weighted_one_at_the_right_weights() -> None:
+    """For a series near the fiducial its own weights are the fiducial's: one linear least-squares problem."""
+    sim = simulator()
+    noise = constant_noise(sim.windows)
+    sim = sim.with_noise(replace(noise, share=np.full(len(noise.floor), 0.1)))
+    model, y = Linearised.about(sim, MIDDLE), sim.noise_free(MIDDLE[None])
+    near = y + 1e-3 * sim.noise.std(y) * np.random.default_rng(8).standard_normal(y.shape)
+    white = model.J / sim.noise.std(y).reshape(1, -1)
+    score = white @ ((near - y) / sim.noise.std(y)).reshape(-1)
+    expected = model.origin + np.linalg.solve(white @ white.T + np.eye(len(white)), score)
+    x = Score().fit(sim, MIDDLE, y)(near)[0]
+    # The weights follow the fit by a thousandth of a standard deviation, the answer by a thousandth of itself; float32.
+    np.testing.assert_allclose(x[6:] - model.origin, expected - model.origin, rtol=1e-2, atol=1e-6)
+
+
+def test_a_failed_simulation_has_no_score_and_spoils_no_other() -> None:
+    sim = simulator()
+    noise = constant_noise(sim.windows)
+    sim = sim.with_noise(replace(noise, share=np.full(len(noise.floor), 0.1)))
+    y = sim.noise_free(np.tile(MIDDLE, (2, 1)))
+    summary, broken = Score().fit(sim, MIDDLE, y[:1]), y.copy()
+    broken[1] = np.nan
+    np.testing.assert_array_equal(summary(broken)[0], summary(y)[0])
+    assert np.isnan(summary(broken)[1]).all()
 
 
 def test_what_a_recording_does_not_see_is_no_feature() -> None:

@@ -14,13 +14,14 @@ from torch import nn
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.embedding import StridedCNN
-from vehicle_sbi.inference.information import Sensitivity, sensitivity
+from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.simulator import Simulator
 
 Series = Float[np.ndarray, "n channels time"]
 Summary = Callable[[Series], np.ndarray]
 TINY = 1e-12
-BOUNDED = 4.0  # standard deviations to which a sharply weighted residual is drawn back
+BOUNDED = 4.0  # standard deviations to which sharply weighted residuals are drawn back
+REWEIGHTED = 3  # times a series' weights are taken from its own fit
 INFORMATIVE = 1e-4  # information, in units of the prior's, below which a direction of the score is left out
 
 
@@ -96,9 +97,35 @@ def independent_rows(matrix: Float[np.ndarray, "p k"], tolerance: float = 1e-6) 
     return np.array(kept, dtype=int)
 
 
+@dataclass(frozen=True)
+class Linearised:
+    """The noise-free model about a point: y + J a, with a (p,) parameters and nuisances in units of their spread.
+
+    y (samples,) and J (p, samples) run over all channels; J is zero where a sample is not to be fitted. `origin` is
+    the point itself in the same units.
+    """
+
+    y: Float[np.ndarray, " samples"]
+    J: Float[np.ndarray, "p samples"]
+    origin: Float[np.ndarray, " p"]
+
+    @classmethod
+    def about(cls, simulator: Simulator, theta: Float[np.ndarray, " d"]) -> "Linearised":
+        at, d = sensitivity(simulator, theta), len(theta)
+        if not np.isfinite(at.jacobian).all():
+            raise InputError("features=score: the simulation at the fiducial point fails; narrow the prior")
+        spread = np.concatenate([simulator.space.prior_std, np.ones(len(at.jacobian) - d)])
+        J = np.where(simulator.windows.valid, at.jacobian * spread[:, None, None], 0.0)
+        origin = np.concatenate([theta, np.zeros(len(spread) - d)]) / spread
+        return cls(at.y.reshape(-1), J.reshape(len(spread), -1), origin)
+
+    def residual(self, y: Series) -> Float[np.ndarray, "n samples"]:
+        return (y.reshape(len(y), self.y.size) - self.y).astype(np.float32)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Compression by the score of the likelihood at a fiducial point, to two numbers per parameter that the data see.
+    """Compression by the score of the likelihood at a fiducial point, to a few numbers per parameter that the data see.
 
     With J the sensitivities by parameters and nuisances a (in units of their spread and of the noise), r the residual
     against the noise-free simulation at the fiducial, and J'J = U diag(l) U', the features are the posterior mean of
@@ -106,56 +133,87 @@ class Score:
     (Alsing & Wandelt 2018, Generalized massive optimal data compression).
 
     Noise that is a share of the signal is smallest where the signal crosses zero, so much of the information lies
-    there, at a moment that moves with theta. Hence two weightings: by the variance of the noise averaged over pilot
-    simulations, which no crossing dominates, and by its precision averaged over them, which is sharp at crossings and
-    whose residuals are bounded (`BOUNDED`), because a simulation that crosses elsewhere is off by hundreds there. Where
-    noise does not depend on the signal the two are one. Both take noise as independent: whitening a slow residual
-    would hand the decision to its fastest part, which a model explains worst. What autocorrelation costs in certainty
-    is in the simulations, so the network learns it.
+    there, at moments that move with theta. Hence three weightings: by the variance of the noise averaged over pilot
+    simulations, which no crossing dominates; by its precision averaged over them, which is sharp at crossings; and by
+    the noise of each series' own fit, found by reweighting it (iteratively reweighted least squares). In the last two
+    residuals are bounded (`BOUNDED`), because a series that crosses elsewhere is off by hundreds there. Where noise
+    does not depend on the signal all are one. All take noise as independent: whitening a slow residual would hand the
+    decision to its fastest part, which a model explains worst. What autocorrelation costs in certainty is in the
+    simulations, so the network learns it.
     """
 
     recentred: bool = True
 
     def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], pilot: Series) -> Summary:
-        at = sensitivity(simulator, fiducial)
-        if not np.isfinite(at.jacobian).all():
-            raise InputError("features=score: the simulation at the fiducial point fails; narrow the prior")
-        std = simulator.noise.std(pilot)
-        robust = np.sqrt(np.mean(np.square(std, dtype=float), axis=0))
-        scores = [_linear_estimate(simulator, at, robust, bound=np.inf)]
+        model = Linearised.about(simulator, fiducial)
+        std = simulator.noise.std(pilot).astype(float).reshape(len(pilot), -1)
+        robust, sharp = np.sqrt(np.mean(std**2, axis=0)), 1.0 / np.sqrt(np.mean(std**-2.0, axis=0))
+        seen = _seen(model.J / robust)
+        scores = [_weighted(model, robust, seen, bound=np.inf)]
         if simulator.noise.share.any():
-            sharp = 1.0 / np.sqrt(np.mean(1.0 / np.square(std, dtype=float), axis=0))
-            scores.append(_linear_estimate(simulator, at, sharp, bound=BOUNDED))
+            scores.append(_weighted(model, sharp, seen, bound=BOUNDED))
+            scores.append(_reweighted(model, simulator, robust, seen))
         return lambda y: np.concatenate([score(y) for score in scores], axis=1)
 
     def network(self, channels: int, time: int) -> nn.Module | None:
         return None
 
 
-def _linear_estimate(
-    simulator: Simulator, at: Sensitivity, std: Float[np.ndarray, "channels time"], *, bound: float
-) -> Summary:
-    """Parameters and nuisances, in units of their spread, that explain series about `at` under noise of `std`.
-
-    Residuals beyond `bound` standard deviations are drawn back to it smoothly.
-    """
-    valid, d = simulator.windows.valid, len(at.theta)
-    spread = np.concatenate([simulator.space.prior_std, np.ones(len(at.jacobian) - d)])
-    scaled = np.where(valid, at.jacobian * spread[:, None, None] / std, 0.0).reshape(len(spread), -1)
-    values, vectors = np.linalg.eigh(scaled @ scaled.T)
-    seen = values > INFORMATIVE
-    if not seen.any():
+def _seen(white: Float[np.ndarray, "p samples"]) -> np.ndarray:
+    """Indices of parameters and nuisances that span what the data see of all of them."""
+    values, vectors = np.linalg.eigh(white @ white.T)
+    informative = values > INFORMATIVE
+    if not informative.any():
         raise InputError("features=score: this recording tells nothing about any free parameter")
-    mean = vectors[:, seen] / (values[seen] + 1.0) @ vectors[:, seen].T
-    rows = independent_rows(vectors[:, seen])  # as those of `mean`, which shrink as the data grow precise
-    projection = (mean[rows] @ scaled).astype(np.float32)
-    centre = (np.concatenate([at.theta, np.zeros(len(spread) - d)]) / spread)[rows]
+    return independent_rows(vectors[:, informative])
 
-    def estimate(y: Series) -> Float[np.ndarray, "n k"]:
-        residual = np.where(valid, (y - at.y) / std, 0.0).astype(np.float32)
-        if np.isfinite(bound):
-            residual = bound * np.tanh(residual / bound)
-        return centre + residual.reshape(len(y), projection.shape[1]) @ projection.T
+
+def _bounded(residual: np.ndarray, bound: float) -> np.ndarray:
+    """Residuals in standard deviations, drawn back smoothly to `bound`."""
+    return bound * np.tanh(residual / bound) if np.isfinite(bound) else residual
+
+
+def _weighted(model: Linearised, std: Float[np.ndarray, " samples"], rows: np.ndarray, *, bound: float) -> Summary:
+    """What explains series about the model's point under noise of `std`, (n, rows)."""
+    white = model.J / std
+    values, vectors = np.linalg.eigh(white @ white.T)
+    informative = values > INFORMATIVE
+    mean = vectors[:, informative] / (values[informative] + 1.0) @ vectors[:, informative].T
+    projection, scale = (mean[rows] @ white).astype(np.float32), std.astype(np.float32)
+    return lambda y: model.origin[rows] + _bounded(model.residual(y) / scale, bound) @ projection.T
+
+
+def _reweighted(
+    model: Linearised, simulator: Simulator, std: Float[np.ndarray, " samples"], rows: np.ndarray
+) -> Summary:
+    """As `_weighted`, then `REWEIGHTED` times with the noise that the series' own linear fit implies, (n, rows)."""
+    p = len(model.J)
+    upper = np.triu_indices(p)
+    products = (model.J[upper[0]] * model.J[upper[1]]).astype(np.float32)
+    J = model.J.astype(np.float32)
+
+    def step(weight: np.ndarray, residual: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """The Gauss-Newton step from a (n, p) under a standard normal prior about the model's point."""
+        information = np.empty((len(a), p, p))
+        information[:, upper[0], upper[1]] = information[:, upper[1], upper[0]] = weight @ products.T
+        score = (weight * residual) @ J.T - a
+        return np.linalg.solve(information + np.eye(p), score[..., None])[..., 0]
+
+    def fitted(y: Series) -> Float[np.ndarray, "n rows"]:
+        residual = model.residual(y)
+        a = step(np.broadcast_to((std**-2.0).astype(np.float32), residual.shape), residual, np.zeros((len(y), p)))
+        for _ in range(REWEIGHTED):
+            change = (a @ model.J).astype(np.float32)
+            own = simulator.noise.std((model.y + change).reshape(len(y), *simulator.shape)).reshape(change.shape)
+            own = own.astype(np.float32)
+            a = a + step(own**-2.0, own * _bounded((residual - change) / own, BOUNDED), a)
+        return model.origin[rows] + a[:, rows]
+
+    def estimate(y: Series) -> Float[np.ndarray, "n rows"]:
+        finite = np.isfinite(y).all(axis=(1, 2))
+        found = np.full((len(y), len(rows)), np.nan)
+        found[finite] = fitted(y[finite])
+        return found
 
     return estimate
 

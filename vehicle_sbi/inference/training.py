@@ -138,7 +138,6 @@ class Training:
                 f"training.validation_fraction = {self.validation_fraction:g}; it must lie between 0 and 1"
             )
 
-
     def epochs(self, simulations: int) -> int:
         """Passes over the training part of that many simulations that make up `steps`, at least 2."""
         batches = max(1, int((1 - self.validation_fraction) * simulations) // self.batch_size)
