@@ -11,10 +11,12 @@ ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
 
 
-def inserted(text: str, block: str, anchor: str) -> str:
-    """The text with a block above the only place where `anchor` stands."""
-    assert text.count(anchor) == 1, anchor
-    return text.replace(anchor, block + anchor)
+def applied(text: str, change: str) -> str:
+    """The text after a change written as lines that go (-), come (+) or stay."""
+    old = "".join(line[1:] for line in change.splitlines(keepends=True) if line[0] != "+")
+    new = "".join(line[1:] for line in change.splitlines(keepends=True) if line[0] != "-")
+    assert text.count(old) == 1, old
+    return text.replace(old, new)
 
 
 def test_the_page_s_example_passes_the_contract(tmp_path: Path) -> None:
@@ -22,14 +24,14 @@ def test_the_page_s_example_passes_the_contract(tmp_path: Path) -> None:
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     blocks = BLOCK.findall((ROOT / "docs" / "add_an_effect.md").read_text())
-    assert [kind for kind, _ in blocks] == ["python", "python", "diff"]
-    (_, function), (_, entry), (_, change) = blocks
+    assert [kind for kind, _ in blocks] == ["python", "diff", "diff"]
+    function, *changes = (block for _, block in blocks)
     source = tmp_path / "vehicle_sbi" / "physics" / "effects.py"
-    text = inserted(source.read_text(), f"{function}\n\n", "@njit(cache=True)\ndef body_load")
-    text = inserted(text, entry, "        # tyres\n")
-    old, new = (line[1:] for line in change.splitlines())
-    assert text.count(old) == 1
-    source.write_text(text.replace(old, new))
+    before = "@njit(cache=True)\ndef body_load"
+    text = source.read_text().replace(before, f"{function}\n\n{before}")
+    for change in changes:
+        text = applied(text, change)
+    source.write_text(text)
     name = re.search(r"-k (\w+)", (ROOT / "docs" / "add_an_effect.md").read_text())
     assert name is not None
     run = subprocess.run(

@@ -242,7 +242,9 @@ class Recording:
         if drive not in NEEDED:
             raise unknown("drive mode", drive, NEEDED, self.source)
         why = f"drive mode '{drive}'"
-        inputs = {name: self._need(name, why)[0] for name in NEEDED[drive]} | {"time": self.t - self.t[0]}
+        inputs = {name: self._need(name, why)[0] for name in NEEDED[drive]} | {
+            "time": np.arange(len(self.t)) / self.rate
+        }
         if drive == "torque":
             inputs["torque_rear"] = self.channels.get("torque_rear", np.zeros_like(self.t))
         if drive == "speed":
