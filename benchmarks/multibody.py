@@ -94,19 +94,17 @@ def commands() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @contextmanager
 def dugoff_tyres(p: Any) -> Iterator[None]:
-    """The multi-body car on Dugoff's tyres with constant stiffnesses and no camber, for as long as this lasts.
+    """The multi-body car on Dugoff's tyres, as stiff per newton of load as its own, without camber.
 
-    Its formulas for pure slip, which know the load, hand it to those for combined slip, which here know Dugoff.
+    Its formulas for pure slip, which know the load, hand it to those for combined slip, which here are Dugoff's.
     """
-    car, tyres = vehicle_of(p, "car"), vehicle_dynamics_mb.tireModel
+    tyres: Any = vehicle_dynamics_mb.tireModel
     names = ("formula_longitudinal", "formula_lateral", "formula_longitudinal_comb", "formula_lateral_comb")
     kept = {name: getattr(tyres, name) for name in names}
-    mean = [0.25 * (getattr(car, f"{C}_f") + getattr(car, f"{C}_r")) / (p.m * 9.81 / 4) for C in ("C_kappa", "C_alpha")]
+    C_kappa, C_alpha = p.tire.p_kx1, -p.tire.p_ky1  # per newton of load
 
     def force(slip: float, alpha: float, F_z: float) -> tuple[float, float]:
-        # A wheel's stiffness is proportional to the axle's static load in every set: per newton it is the same.
-        static = F_z if F_z > 0.0 else 1.0
-        return dugoff(mean[0] * static, mean[1] * static, p.tire.p_dy1, F_z, max(-slip, -1.0), math.tan(alpha))
+        return dugoff(C_kappa * F_z, C_alpha * F_z, p.tire.p_dy1, F_z, max(-slip, -1.0), math.tan(alpha))
 
     tyres.formula_longitudinal = lambda slip, gamma, F_z, tyre: F_z
     tyres.formula_lateral = lambda alpha, gamma, F_z, tyre: [F_z, 1.0]

@@ -228,14 +228,12 @@ def test_a_round_takes_its_steps_whatever_the_number_of_simulations(simulations:
 
 def test_the_learning_rate_ends_at_zero() -> None:
     theta, rates = prior_draws(200), []
-
-    class Watched(Npe):
-        def _summarize_epoch(self, *args: object) -> None:
-            super()._summarize_epoch(*args)
-            rates.append(self.optimizer.param_groups[0]["lr"])
-
     torch.manual_seed(1)
-    trainer = Watched(BoxUniform(LOW, HIGH), FLOW.builder(), lambda epoch, loss: None, 4)
+
+    def seen(epoch: int, loss: float) -> None:
+        rates.append(trainer.optimizer.param_groups[0]["lr"])
+
+    trainer = Npe(BoxUniform(LOW, HIGH), FLOW.builder(), seen, 4)
     trainer.append_simulations(theta, simulated(theta, 1))
     trainer.train(max_num_epochs=3, learning_rate=1e-3, stop_after_epochs=10, training_batch_size=50)
     # After each of four epochs: half a cosine from 1e-3 to nothing.
