@@ -17,7 +17,7 @@ inference.estimator inference.training inference.proposal inference.rounds infer
 inference.calibration
 mismatch.locate mismatch.explain mismatch.improve mismatch.verdict
 report.run_folder report.tables report.density report.figures report.catalogue report.page report.results
-report.autoware
+report.observability report.autoware
 """.split()
 RANK = {f"vehicle_sbi.{name}": rank for rank, name in enumerate(ORDER)}
 MODULES = sorted((ROOT / "vehicle_sbi").rglob("*.py"))

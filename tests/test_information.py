@@ -9,7 +9,16 @@ from studies import PRIOR, constant_noise, paper_process, repeated, simulator
 
 from vehicle_sbi.data.noise import MeasurementNoise
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.inference.information import best_fit, bound_std, fisher, joint_fisher, sensitivity
+from vehicle_sbi.inference.information import (
+    CONFUSABLE,
+    best_fit,
+    bound_std,
+    confusable,
+    correlation,
+    fisher,
+    joint_fisher,
+    sensitivity,
+)
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.rng import Stream
 
@@ -189,3 +198,14 @@ def test_a_fit_where_nothing_simulates_is_refused() -> None:
     sim = simulator({"l_f": [1.4, 1.5], "C_alpha_r": [1e4, 1.1e4]}, steering_amplitude=0.3)
     with pytest.raises(InputError, match="the simulation fails wherever a fit was tried; narrow the prior"):
         best_fit(sim, np.zeros(sim.shape), (sim.space.low + sim.space.high)[None] / 2)
+
+
+def test_parameters_that_do_the_same_are_named_as_confusable() -> None:
+    """F = s v v' with v = (1, 1, 0) in units of the prior: covariance (I + s v v')^-1, correlation -s/(1 + s)."""
+    prior_std, v = np.array([2.0, 0.1, 1.0]), np.array([1.0, 1.0, 0.0])
+    for s in (10.0, 100.0):
+        F = s * np.outer(v / prior_std, v / prior_std)
+        assert correlation(F, prior_std)[0, 1] == pytest.approx(-s / (1 + s))
+        expected = [(0, 1, pytest.approx(-s / (1 + s)))] if s / (1 + s) > CONFUSABLE else []
+        assert confusable(F, prior_std) == expected
+    assert confusable(np.full((2, 2), np.nan), np.ones(2)) == []
