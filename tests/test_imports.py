@@ -15,7 +15,7 @@ data.recording data.formats data.readers data.manoeuvre data.noise
 inference.prior inference.simulator inference.information inference.embedding inference.features
 inference.estimator inference.training inference.proposal inference.rounds inference.predictive inference.study
 inference.calibration
-mismatch.locate mismatch.explain mismatch.improve mismatch.verdict
+mismatch.separability mismatch.locate mismatch.explain mismatch.improve mismatch.verdict
 report.run_folder report.tables report.density report.figures report.catalogue report.page report.results
 report.observability report.autoware
 """.split()

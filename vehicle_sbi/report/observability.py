@@ -6,6 +6,7 @@ from jaxtyping import Float
 
 from vehicle_sbi.inference.information import best_fit, bound_std, confusable, fisher
 from vehicle_sbi.inference.study import Prepared
+from vehicle_sbi.mismatch.separability import card
 from vehicle_sbi.report.tables import NOT_IDENTIFIED, rounded
 
 
@@ -39,6 +40,21 @@ def observability(prepared: Prepared) -> tuple[pd.DataFrame, list[str]]:
     pairs = confusable(F, space.prior_std)
     notes += [f"Hardly told apart: {space.names[i]} and {space.names[j]}: correlation {r:.2f}." for i, j, r in pairs]
     return table, notes
+
+
+def left_out(prepared: Prepared) -> tuple[pd.DataFrame, list[str]]:
+    """A row of text per effect that is not fitted: from which size it would show, and what hides it until then."""
+    found = card(prepared.problem.simulator, point(prepared))
+    table = pd.DataFrame(
+        {
+            "effect": [c.parameter.name for c in found.candidates],
+            "unit": [c.parameter.unit for c in found.candidates],
+            "shows from": [f"{c.size:.2g}" if c.visible else "not in this recording" for c in found.candidates],
+            "left by the fit": [f"{c.retained:.0%}" for c in found.candidates],
+            "hides most in": [max(c.absorbed, key=lambda name: abs(c.absorbed[name])) for c in found.candidates],
+        }
+    )
+    return table, [f"Not told apart: {', '.join(group)}." for group in found.groups()]
 
 
 def condition(F: Float[np.ndarray, "d d"], prior_std: Float[np.ndarray, " d"]) -> float:

@@ -1,0 +1,82 @@
+"""What a recording could show follows from its sensitivities: closed forms, and what is one and the same effect."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studies import constant_noise, simulator
+
+from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.mismatch.separability import SEEN, Card, card, directions
+from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.physics.single_track import INPUTS
+
+MIDDLE = np.array([1.25])
+
+
+def lateral(rho: float = 0.0) -> Simulator:
+    """The mild manoeuvre driven by a measured speed, l_f free."""
+    sim = simulator({"l_f": [1.0, 1.5]})
+    u = sim.windows.u.copy()
+    u[..., INPUTS.index("v_x")] = 12.0
+    windows = replace(sim.windows, u=u, channels=("a_x", "a_y", "yaw_rate"), groups=("imu", "imu", "imu"))
+    windows = replace(windows, y=windows.y[:3], valid=windows.valid[:3])
+    sim = replace(sim, drive="speed", windows=windows)
+    return sim.with_noise(constant_noise(windows, rho=rho))
+
+
+def entry(of: Card, name: str) -> int:
+    return [c.parameter.name for c in of.candidates].index(name)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8])
+def test_the_size_of_an_offset_that_is_seen_is_that_of_a_mean(rho: float) -> None:
+    # A bias of a_x, which l_f has next to no effect on: 2.8 sigma over the root of the effective number of samples.
+    sim = lateral(rho)
+    n, sigma = sim.shape[1], sim.noise.floor[0]
+    worth = 1 + (n - 1) * (1 - rho) / (1 + rho)
+    found = card(sim, MIDDLE)
+    bias = found.candidates[entry(found, "accelerometer_bias.x")]
+    assert bias.size == pytest.approx(SEEN * sigma / np.sqrt(worth), rel=1e-3)
+    assert bias.retained == pytest.approx(1.0, abs=1e-3)
+    assert bias.visible
+
+
+def test_what_is_fitted_is_no_candidate_and_absorbs_what_looks_like_it() -> None:
+    # With the speed given, grade is nothing but g sin(angle) in a_x, as a bias is. Once the bias is fitted, its prior
+    # of standard deviation s leaves 1/(1 + s^2 n/sigma^2) of the grade; l_f has next to no part in a_x.
+    sim, bias = lateral(), CATALOGUE["accelerometer_bias"].parameters[0]
+    fitted = replace(sim, space=ParameterSpace((*sim.space.parameters, bias)))
+    before, after = card(sim, MIDDLE), card(fitted, np.array([1.25, 0.0]))
+    assert not any(c.parameter.name.startswith("accelerometer_bias") for c in after.candidates)
+    free, absorbed = (found.candidates[entry(found, "road_grade.angle")] for found in (before, after))
+    information = fitted.space.prior_std[1] ** 2 * sim.shape[1] / sim.noise.floor[0] ** 2
+    assert free.retained == pytest.approx(1.0, abs=1e-3)
+    assert absorbed.retained == pytest.approx(1 / (1 + information), rel=0.02)
+    assert abs(absorbed.absorbed["accelerometer_bias.x"]) > 50 * abs(absorbed.absorbed["l_f"])
+
+
+def test_what_does_the_same_to_every_channel_is_one_group() -> None:
+    # With the speed given, grade is nothing but g sin(angle) in a_x, as a bias is; roll is a gain of a_y.
+    found = card(lateral(), MIDDLE)
+    i, j = entry(found, "road_grade.angle"), entry(found, "accelerometer_bias.x")
+    assert found.coherence[i, j] == pytest.approx(1.0, abs=1e-3)
+    groups = found.groups()
+    assert any({"road_grade.angle", "accelerometer_bias.x"} <= set(group) for group in groups)
+    # With its lag in the middle of the prior, 0.15 s at a steering of 0.25 Hz, roll is a gain of a_y, 13 degrees late.
+    k, gain = entry(found, "body_roll.gradient"), entry(found, "accelerometer_scale.y")
+    assert 0.9 < found.coherence[k, gain] <= 1.0
+
+
+def test_directions_are_those_that_leave_the_null() -> None:
+    # A gust needs a duration to blow, and its force is what vanishes whatever its shape; a lag of the roll needs roll.
+    sim = lateral()
+    expected = {
+        "gust": ["gust.force"],
+        "body_roll": ["body_roll.gradient"],
+        "accelerometer_scale": ["accelerometer_scale.x", "accelerometer_scale.y"],
+        "drive_gain": [],  # nothing is driven by torque here
+    }
+    for name, parameters in expected.items():
+        assert [d.parameter.name for d in directions(sim, MIDDLE, CATALOGUE[name])] == parameters

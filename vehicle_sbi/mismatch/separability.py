@@ -1,0 +1,171 @@
+"""Which left-out effects a recording could show at all, from which size, and which it cannot tell from each other.
+
+All of it follows from the simulator, before the data are looked at. With J the whitened sensitivities of what is fitted
+(parameters and nuisances, P their prior precision) and g those of a candidate effect at its null,
+
+    M = I - J (J'J + P)^-1 J'          what fitting leaves of a change of the series
+    retained = g'Mg / g'g              the share that is not absorbed by the fitted parameters
+    size = 2.8 / sqrt(g'Mg)            seen with a power of 80 % by a two-sided test at 5 %
+    coherence = |g_i'M g_j| / sqrt(g_i'M g_i  g_j'M g_j)
+    absorbed = (J'J + P)^-1 J'g        how far the fitted parameters move instead, per unit of the effect
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse.csgraph import connected_components
+from scipy.stats import norm
+
+from vehicle_sbi.inference.information import sensitivity
+from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.parameters import Parameter, ParameterSpace
+from vehicle_sbi.physics.effects import CATALOGUE, Effect
+
+LEVEL, POWER = 0.05, 0.8
+SEEN = float(norm.isf(LEVEL / 2) + norm.ppf(POWER))  # standard deviations, 2.80
+STEP = 0.05  # of a parameter's prior width, for differences from its null: enough for a lag to outlast a sample
+INSEPARABLE = 0.95  # coherence from which two candidates count as one
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A parameter along which an effect leaves its null, with the effect's other parameters held where it can act."""
+
+    parameter: Parameter
+    held: dict[Parameter, float]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What a recording could tell of one direction; sizes are in the parameter's unit.
+
+    `absorbed` says by how many of its prior's standard deviations each fitted parameter moves for an effect of the
+    smallest size that is seen (or of the prior's half width, if that is less).
+    """
+
+    parameter: Parameter
+    retained: float
+    size: float
+    absorbed: dict[str, float]
+
+    @property
+    def visible(self) -> bool:
+        """Whether the smallest size that is seen lies within the effect's prior."""
+        null = self.parameter.null or 0.0
+        return self.size <= max(self.parameter.high - null, null - self.parameter.low)
+
+
+@dataclass(frozen=True)
+class Card:
+    """All candidates of a recording, the coherence between them, and the groups that it cannot tell apart."""
+
+    candidates: tuple[Candidate, ...]
+    coherence: Float[np.ndarray, "k k"]
+
+    def groups(self) -> list[tuple[str, ...]]:
+        """Sets of visible candidates that hang together by coherences above INSEPARABLE, the largest first."""
+        names = [c.parameter.name for c in self.candidates]
+        shown = [i for i, c in enumerate(self.candidates) if c.visible]
+        close = self.coherence[np.ix_(shown, shown)] > INSEPARABLE
+        _, label = connected_components(close, directed=False)
+        sets = [tuple(names[i] for i, k in zip(shown, label, strict=True) if k == group) for group in set(label)]
+        return sorted((group for group in sets if len(group) > 1), key=len, reverse=True)
+
+
+def _null(p: Parameter) -> float:
+    assert p.null is not None
+    return p.null
+
+
+def _middle(p: Parameter) -> float:
+    """Halfway from the null to the prior's farther bound."""
+    return 0.5 * (_null(p) + (p.high if p.high - _null(p) >= _null(p) - p.low else p.low))
+
+
+def _away(p: Parameter) -> float:
+    """A small step from the null into the prior."""
+    width = STEP * (p.high - p.low)
+    return _null(p) + (width if p.high - _null(p) >= _null(p) - p.low else -width)
+
+
+def _responses(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], points: Sequence[dict[Parameter, float]]
+) -> Float[np.ndarray, "n channels time"]:
+    """Noise-free series at theta with effect parameters as each point has them, all others at their null."""
+    extra = tuple({p: None for point in points for p in point})
+    extended = replace(simulator, space=ParameterSpace((*simulator.space.parameters, *extra)))
+    rows = [[*theta, *(point.get(p, _null(p)) for p in extra)] for point in points]
+    return extended.noise_free(np.array(rows))
+
+
+def directions(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effect) -> list[Direction]:
+    """Along which parameters an effect can leave its null here.
+
+    A parameter that changes nothing by itself (the duration of a gust without force) gives the effect its shape: the
+    others are tried with it held in the middle of its prior. If no parameter acts by itself, the first one that makes
+    the effect vanish whatever the shape is the direction.
+    """
+    quiet = _responses(simulator, theta, [{}])[0]
+    alone = _responses(simulator, theta, [{p: _away(p)} for p in effect.parameters])
+    acts = {
+        p: bool(np.nanmax(np.abs(y - quiet), initial=0.0) > 0.0) for p, y in zip(effect.parameters, alone, strict=True)
+    }
+    held = {p: _middle(p) for p in effect.parameters if not acts[p]}
+    if any(acts.values()):
+        return [Direction(p, held) for p in effect.parameters if acts[p]]
+    for p in effect.parameters:
+        shape = {other: value for other, value in held.items() if other is not p}
+        rested, moved = _responses(simulator, theta, [shape, shape | {p: _away(p)}])
+        if np.array_equal(rested, quiet) and not np.array_equal(moved, quiet):
+            return [Direction(p, shape)]
+    return []
+
+
+def candidates(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> list[Direction]:
+    """Directions of every effect of the catalogue of which nothing is fitted."""
+    fitted = {name.split(".")[0] for name in simulator.space.names}
+    return [
+        direction
+        for effect in CATALOGUE.values()
+        if effect.name not in fitted
+        for direction in directions(simulator, theta, effect)
+    ]
+
+
+def slopes(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[Direction]
+) -> Float[np.ndarray, "k channels time"]:
+    """Change of the series per unit of each direction's parameter, from a small step off the null."""
+    points = [{**d.held, d.parameter: _away(d.parameter)} for d in found]
+    rested = [{**d.held, d.parameter: _null(d.parameter)} for d in found]
+    y = _responses(simulator, theta, [*points, *rested])
+    steps = np.array([_away(d.parameter) - _null(d.parameter) for d in found])
+    return (y[: len(found)] - y[len(found) :]) / steps[:, None, None]
+
+
+def card(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> Card:
+    """What the recording behind `simulator` could show if the car is as theta says."""
+    at, found = sensitivity(simulator, theta), candidates(simulator, theta)
+    noise, valid = simulator.noise, simulator.windows.valid
+    std = noise.std(at.y)
+
+    def white(changes: np.ndarray) -> np.ndarray:
+        return noise.whiten(np.nan_to_num(changes), std, valid).reshape(len(changes), -1)
+
+    spread = np.concatenate([simulator.space.prior_std, np.ones(len(at.jacobian) - len(theta))])
+    J, g = white(at.jacobian * spread[:, None, None]), white(slopes(simulator, theta, found))
+    moved = np.linalg.solve(J @ J.T + np.eye(len(J)), J @ g.T)  # (p, k), in the fitted parameters' spread
+    cross = g @ g.T - g @ J.T @ moved
+    raw, left = np.einsum("kt,kt->k", g, g), np.maximum(np.diag(cross), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        coherence = np.nan_to_num(np.abs(cross) / np.sqrt(np.outer(left, left)))
+        size, retained = SEEN / np.sqrt(left), np.nan_to_num(left / raw)
+    rows = []
+    for k, direction in enumerate(found):
+        p = direction.parameter
+        shown = min(size[k], 0.5 * (p.high - p.low))
+        absorbed = dict(zip(simulator.space.names, (shown * moved[: len(theta), k]).tolist(), strict=True))
+        rows.append(Candidate(p, float(retained[k]), float(size[k]), absorbed))
+    return Card(tuple(rows), coherence)
