@@ -12,7 +12,7 @@ errors files parameters rng
 physics.vehicle physics.tyre physics.effects physics.sensors physics.single_track physics.full_vehicle
 physics.simulation
 data.recording data.formats data.readers data.manoeuvre data.noise
-inference.prior inference.simulator inference.information inference.embedding inference.features
+inference.prior inference.simulator inference.information inference.setup inference.embedding inference.features
 inference.estimator inference.training inference.proposal inference.rounds inference.predictive inference.study
 inference.calibration
 mismatch.separability mismatch.locate mismatch.explain mismatch.improve mismatch.verdict

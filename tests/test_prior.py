@@ -11,7 +11,8 @@ from cars import PAPER
 from conftest import ROOT
 
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.inference.prior import KNOWN, box, flatten, parameter_space
+from vehicle_sbi.inference.prior import KNOWN, flatten, parameter_space
+from vehicle_sbi.inference.proposal import box
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, Vehicle
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.distributions import Independent, Normal
 
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.inference.prior import box, parameter_space
+from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.inference.proposal import (
     EXCLUDED_MASS,
     RESAMPLED_FROM,
@@ -20,6 +20,7 @@ from vehicle_sbi.inference.proposal import (
     WIDENED,
     Support,
     acceptance,
+    box,
     draw,
     inside,
     log_density,

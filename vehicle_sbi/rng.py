@@ -7,7 +7,6 @@ an interrupted study that starts again draws the same numbers.
 from enum import IntEnum
 
 import numpy as np
-import torch
 
 
 class Stream(IntEnum):
@@ -29,5 +28,7 @@ def generator(*, seed: int, stream: Stream, round: int = 0, index: int = 0) -> n
 
 def seed_torch(*, seed: int, stream: Stream, round: int = 0, index: int = 0) -> None:
     """Set torch's global seed to the address; sbi draws from torch's global generator only."""
+    import torch  # here, because it takes seconds to import and most of what needs a generator needs no torch
+
     address = np.random.SeedSequence((seed, int(stream), round, index))
     torch.manual_seed(int(address.generate_state(1, np.uint64)[0] >> 1))

@@ -1,12 +1,10 @@
-"""Priors: from the nested YAML of a prior file to a parameter space and sbi's box."""
+"""Priors: from the nested YAML of a prior file to a parameter space."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import torch
-from sbi.utils import BoxUniform
 
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.parameters import Parameter, ParameterSpace
@@ -102,8 +100,3 @@ def _check_physical(space: ParameterSpace, vehicle: Vehicle) -> None:
                 raise InputError(
                     f"prior: {p.name} = [{p.low:g}, {p.high:g}] reaches {name} = {lowest:g}; it must be positive"
                 )
-
-
-def box(space: ParameterSpace) -> BoxUniform:
-    """The uniform prior over the space's box, as sbi wants it."""
-    return BoxUniform(torch.as_tensor(space.low, dtype=torch.float32), torch.as_tensor(space.high, dtype=torch.float32))

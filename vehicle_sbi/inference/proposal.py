@@ -11,6 +11,7 @@ from jaxtyping import Float
 from sbi.inference import EnsemblePosterior
 from sbi.inference.posteriors import DirectPosterior
 from sbi.inference.posteriors.base_posterior import NeuralPosterior
+from sbi.utils import BoxUniform
 from torch import Tensor
 
 from vehicle_sbi.errors import InputError
@@ -22,6 +23,11 @@ WIDENED = 1.4  # times as wide as that is what truncation keeps
 WALKERS, WARM_UP, THINNING = 1000, 60, 20  # of the ensemble, whose autocorrelation time is about 25 steps
 MOST_REJECTIONS = 50  # batches of draws before resampling takes over
 RESAMPLED_FROM = 200_000  # uniform draws of the prior
+
+
+def box(space: ParameterSpace) -> BoxUniform:
+    """The uniform prior over the space's box, as sbi wants it."""
+    return BoxUniform(torch.as_tensor(space.low, dtype=torch.float32), torch.as_tensor(space.high, dtype=torch.float32))
 
 
 def _members(posterior: NeuralPosterior) -> Sequence[DirectPosterior]:

@@ -28,8 +28,7 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_atomically
 from vehicle_sbi.inference.estimator import Builder, DensityEstimator, behind
 from vehicle_sbi.inference.features import Features, Summary
-from vehicle_sbi.inference.prior import box
-from vehicle_sbi.inference.proposal import Support, acceptance, draw, inside, truncated_prior
+from vehicle_sbi.inference.proposal import Support, acceptance, box, draw, inside, truncated_prior
 from vehicle_sbi.inference.simulator import Simulator, succeeded
 from vehicle_sbi.inference.training import EpochSeen, Fit, Simulations, Training, fit
 from vehicle_sbi.rng import Stream, generator, seed_torch

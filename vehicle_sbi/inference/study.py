@@ -1,73 +1,47 @@
 """A study: from what a user configured to a problem that can be inferred, synthetic or recorded."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.data.manoeuvre import Synthetic
-from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise, MeasurementNoise, ProportionalNoise, from_residual
+from vehicle_sbi.data.noise import EstimatedNoise
 from vehicle_sbi.data.readers import RecordingFile
-from vehicle_sbi.data.recording import Recording, Windows
-from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import DensityEstimator
 from vehicle_sbi.inference.features import Features
-from vehicle_sbi.inference.information import best_fit
-from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.inference.rounds import Problem
+from vehicle_sbi.inference.setup import Setup, noise_under_model
 from vehicle_sbi.inference.simulator import Simulator, succeeded
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.parameters import ParameterSpace
-from vehicle_sbi.physics.effects import nominal_record
-from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS
-from vehicle_sbi.physics.simulation import MODELS, substeps_for
-from vehicle_sbi.physics.single_track import DRIVES, INPUTS
-from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.rng import Stream, generator
-
-Noise = ProportionalNoise | ConstantNoise | EstimatedNoise
-FIRST_SUBSTEPS = 4  # before the slowest speed is known, which decides their number
-STARTS = 3  # of the fit under which noise is estimated
-NOISE_ROUNDS = 8  # of fit and estimate at most
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study:
+class Study(Setup):
     """What one run infers: a vehicle's free parameters from a recording, or from a manoeuvre with a drawn truth.
 
     In a synthetic study `truth` (by name) is observed, or a truth drawn from the prior.
     """
 
-    vehicle: Vehicle
-    model: str
-    drive: str
-    prior: Mapping[str, Any]
-    effects: Sequence[str]
     recording: RecordingFile | Synthetic
-    window_s: float
-    warmup_s: float
-    noise: Noise
     features: Features
     estimator: DensityEstimator
     training: Training
     truth: Mapping[str, float] | None
-    seed: int
 
     def __post_init__(self) -> None:
-        if self.drive not in DRIVES:
-            raise unknown("drive mode", self.drive, DRIVES, "drive")
-        if self.model not in MODELS:
-            raise unknown("model", self.model, MODELS, "model")
-        if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
-            raise InputError(f"seed = {self.seed!r}; it must be a whole number that is not negative")
+        super().__post_init__()
         if isinstance(self.recording, RecordingFile) and self.truth is not None:
             raise InputError("truth: a recording has no stated truth; leave truth=null or recording=synthetic")
 
     def prepare(self) -> "Prepared":
         """Load or simulate what is observed, estimate the noise, and put the problem together."""
-        space = parameter_space(self.prior, vehicle=self.vehicle, model=self.model, effects=self.effects)
+        space = self.space()
         if isinstance(self.recording, Synthetic):
             return self._synthetic(space, self.recording)
         return self._recorded(space, self.recording)
@@ -75,7 +49,7 @@ class Study:
     def _synthetic(self, space: ParameterSpace, source: Synthetic) -> "Prepared":
         if self.drive != "torque":
             raise InputError(f"drive={self.drive}: a synthetic manoeuvre states torques; it needs drive=torque")
-        simulator = self._simulator(space, source.manoeuvre.windows(self.vehicle), uniform_start=True)
+        simulator = self.simulator(space, source.manoeuvre.windows(self.vehicle), uniform_start=True)
         truth = self._truth(space)
         y, outcomes = simulator.simulate(truth[None], np.array([1]), stream=Stream.TRUTH)
         if not succeeded(outcomes)[0]:
@@ -85,49 +59,17 @@ class Study:
 
     def _recorded(self, space: ParameterSpace, source: RecordingFile) -> "Prepared":
         recording = source.load()
-        windows = recording.windows(
-            drive=self.drive,
-            channels=source.channels,
-            length_s=self.window_s,
-            warmup_s=self.warmup_s,
-            start_s=source.start_s,
-            stop_s=source.stop_s,
-            steering_ratio=self.vehicle.steering_ratio,
-            v_min=source.v_min,
-            wheel_radius=self.vehicle.R_f,
-        )
-        simulator = self._simulator(space, windows, uniform_start=False)
+        windows = self.windows(recording, source)
+        simulator = self.simulator(space, windows, uniform_start=False)
         observed = np.where(windows.valid, windows.y, 0.0)
         if isinstance(self.noise, EstimatedNoise) and self.noise.model_residual:
-            simulator = simulator.with_noise(_under_model(simulator, observed, windows))
+            simulator = simulator.with_noise(noise_under_model(simulator, observed, windows))
         return Prepared(
             f"{self.vehicle.name} from {recording.name}", self._problem(simulator, observed), None, recording
         )
 
     def _problem(self, simulator: Simulator, observed: Float[np.ndarray, "channels time"]) -> Problem:
         return Problem(simulator, observed, self.features, self.estimator, self.training)
-
-    def _simulator(self, space: ParameterSpace, windows: Windows, *, uniform_start: bool) -> Simulator:
-        unseen = [name for name in windows.channels if name in BODY_MEASUREMENTS and self.model != "full_vehicle"]
-        if unseen:
-            raise InputError(f"model={self.model}: it does not predict {', '.join(unseen)}; model=full_vehicle does")
-        simulator = Simulator(
-            nominal=nominal_record(self.vehicle, duration=float(windows.u[..., INPUTS.index("time")].max())),
-            space=space,
-            model=self.model,
-            drive=self.drive,
-            windows=windows,
-            process=self.noise.process.draw(generator(seed=self.seed, stream=Stream.STUDY)),
-            noise=self.noise.measurement(windows),
-            uniform_start=uniform_start,
-            substeps=FIRST_SUBSTEPS,
-            seed=self.seed,
-        )
-        corners = np.stack([space.low, (space.low + space.high) / 2, space.high])
-        records = space.records(corners, simulator.nominal)
-        return replace(
-            simulator, substeps=substeps_for(records, self.drive, _slowest(simulator), windows.rate, model=self.model)
-        )
 
     def _truth(self, space: ParameterSpace) -> Float[np.ndarray, " d"]:
         if self.truth is not None:
@@ -153,27 +95,3 @@ class Prepared:
     def inputs(self) -> dict[str, str]:
         """SHA-256 of every file that the study reads."""
         return {} if self.recording is None else {self.recording.source: self.recording.sha256}
-
-
-def _slowest(simulator: Simulator) -> float:
-    """The lowest speed [m/s] at the prior's centre, which has the fastest modes."""
-    probe = replace(simulator, windows=replace(simulator.windows, channels=("v_x",), groups=("can",)))
-    space = simulator.space
-    speeds = probe.noise_free((space.low + space.high)[None] / 2)
-    return float(np.nanmin(speeds)) if np.isfinite(speeds).any() else 1.0
-
-
-def _under_model(simulator: Simulator, observed: np.ndarray, windows: Windows) -> MeasurementNoise:
-    """Noise estimated from what the best fit of the model leaves over, until noise and fit agree with each other."""
-    space = simulator.space
-    rng = generator(seed=simulator.seed, stream=Stream.STUDY, index=1)
-    corners = rng.uniform(space.low, space.high, (STARTS - 1, len(space)))
-    starts = np.concatenate([(space.low + space.high)[None] / 2, corners])
-    for _ in range(NOISE_ROUNDS):
-        before = simulator.noise
-        theta, residual = best_fit(simulator, observed, starts)
-        simulator = simulator.with_noise(from_residual(residual, windows))
-        starts = theta[None]
-        if np.allclose(simulator.noise.floor, before.floor, rtol=0.02):
-            break
-    return simulator.noise

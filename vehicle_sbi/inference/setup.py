@@ -1,0 +1,115 @@
+"""From what a user configured of a car and its recordings to a simulator that is driven and measured as they were."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise, MeasurementNoise, ProportionalNoise, from_residual
+from vehicle_sbi.data.readers import RecordingFile
+from vehicle_sbi.data.recording import Recording, Windows
+from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.inference.information import best_fit
+from vehicle_sbi.inference.prior import parameter_space
+from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.physics.effects import nominal_record
+from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS
+from vehicle_sbi.physics.simulation import MODELS, substeps_for
+from vehicle_sbi.physics.single_track import DRIVES, INPUTS
+from vehicle_sbi.physics.vehicle import Vehicle
+from vehicle_sbi.rng import Stream, generator
+
+Noise = ProportionalNoise | ConstantNoise | EstimatedNoise
+FIRST_SUBSTEPS = 4  # before the slowest speed is known, which decides their number
+STARTS = 3  # of the fit under which noise is estimated
+NOISE_ROUNDS = 8  # of fit and estimate at most
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """A vehicle, what of it is free, how the simulator is driven and how recordings are cut into windows [s]."""
+
+    vehicle: Vehicle
+    model: str
+    drive: str
+    prior: Mapping[str, Any]
+    effects: Sequence[str]
+    window_s: float
+    warmup_s: float
+    noise: Noise
+    seed: int
+
+    def __post_init__(self) -> None:
+        if self.drive not in DRIVES:
+            raise unknown("drive mode", self.drive, DRIVES, "drive")
+        if self.model not in MODELS:
+            raise unknown("model", self.model, MODELS, "model")
+        if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
+            raise InputError(f"seed = {self.seed!r}; it must be a whole number that is not negative")
+
+    def space(self) -> ParameterSpace:
+        """The free parameters."""
+        return parameter_space(self.prior, vehicle=self.vehicle, model=self.model, effects=self.effects)
+
+    def windows(self, recording: Recording, source: RecordingFile) -> Windows:
+        """The recording cut into windows, with the settings of the file it comes from."""
+        return recording.windows(
+            drive=self.drive,
+            channels=source.channels,
+            length_s=self.window_s,
+            warmup_s=self.warmup_s,
+            start_s=source.start_s,
+            stop_s=source.stop_s,
+            steering_ratio=self.vehicle.steering_ratio,
+            v_min=source.v_min,
+            wheel_radius=self.vehicle.R_f,
+        )
+
+    def simulator(self, space: ParameterSpace, windows: Windows, *, uniform_start: bool) -> Simulator:
+        """The vehicle driven through these windows; InputError for a channel that the model does not predict."""
+        unseen = [name for name in windows.channels if name in BODY_MEASUREMENTS and self.model != "full_vehicle"]
+        if unseen:
+            raise InputError(f"model={self.model}: it does not predict {', '.join(unseen)}; model=full_vehicle does")
+        simulator = Simulator(
+            nominal=nominal_record(self.vehicle, duration=float(windows.u[..., INPUTS.index("time")].max())),
+            space=space,
+            model=self.model,
+            drive=self.drive,
+            windows=windows,
+            process=self.noise.process.draw(generator(seed=self.seed, stream=Stream.STUDY)),
+            noise=self.noise.measurement(windows),
+            uniform_start=uniform_start,
+            substeps=FIRST_SUBSTEPS,
+            seed=self.seed,
+        )
+        corners = np.stack([space.low, (space.low + space.high) / 2, space.high])
+        records = space.records(corners, simulator.nominal)
+        return replace(
+            simulator, substeps=substeps_for(records, self.drive, _slowest(simulator), windows.rate, model=self.model)
+        )
+
+
+def _slowest(simulator: Simulator) -> float:
+    """The lowest speed [m/s] at the prior's centre, which has the fastest modes."""
+    probe = replace(simulator, windows=replace(simulator.windows, channels=("v_x",), groups=("can",)))
+    space = simulator.space
+    speeds = probe.noise_free((space.low + space.high)[None] / 2)
+    return float(np.nanmin(speeds)) if np.isfinite(speeds).any() else 1.0
+
+
+def noise_under_model(simulator: Simulator, observed: np.ndarray, windows: Windows) -> MeasurementNoise:
+    """Noise estimated from what the best fit of the model leaves over, until noise and fit agree with each other."""
+    space = simulator.space
+    rng = generator(seed=simulator.seed, stream=Stream.STUDY, index=1)
+    corners = rng.uniform(space.low, space.high, (STARTS - 1, len(space)))
+    starts = np.concatenate([(space.low + space.high)[None] / 2, corners])
+    for _ in range(NOISE_ROUNDS):
+        before = simulator.noise
+        theta, residual = best_fit(simulator, observed, starts)
+        simulator = simulator.with_noise(from_residual(residual, windows))
+        starts = theta[None]
+        if np.allclose(simulator.noise.floor, before.floor, rtol=0.02):
+            break
+    return simulator.noise
