@@ -98,7 +98,7 @@ def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
         def main() -> None:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, instead of printing in its own way
             try:
-                sys.argv[1:] = [word for argument in sys.argv[1:] for word in spelled_out(argument)]
+                sys.argv[1:] = [word for argument in with_recording(sys.argv[1:]) for word in spelled_out(argument)]
                 hydra.main(config_path=str(CONF), config_name=config_name, version_base=None)(job)()
             except KeyboardInterrupt:
                 print("interrupted; the same command continues from what is already on disk", file=sys.stderr)
@@ -122,6 +122,45 @@ def spelled_out(argument: str) -> list[str]:
     if group not in FILES or not ("/" in value or Path(value).suffix.lower() in FILES[group]):
         return [argument]
     return [f"{group}=file", f"{group}.path={json.dumps(value)}"]
+
+
+def with_recording(arguments: Sequence[str]) -> list[str]:
+    """`recordings=[A,…]` chooses `recording=A` too, unless the user does: its settings are how all are read."""
+    chosen = any(argument.startswith("recording=") for argument in arguments)
+    for argument in arguments:
+        first = re.fullmatch(r"recordings=\[\s*['\"]?([^,'\"\]]+).*\]", argument)
+        if first and not chosen:
+            return [*arguments, f"recording={first[1].strip()}"]
+    return list(arguments)
+
+
+def named_recordings(cfg: DictConfig) -> DictConfig:
+    """The configuration with names in `recordings` and `heldout` replaced by what conf/recording has for them.
+
+    Raises InputError for a name that is not there, or one of another vehicle than `recording`'s.
+    """
+    configured = {file.stem: file for file in (CONF / "recording").glob("*.yaml")}
+    chosen = HydraConfig.get().runtime.choices
+
+    def resolved(entry: str, where: str) -> object:
+        if "/" in entry or Path(entry).suffix.lower() in FILES["recording"]:
+            return entry
+        if entry not in configured:
+            raise unknown("recording", entry, configured, where)
+        if entry == chosen["recording"]:
+            return OmegaConf.to_container(cfg.recording, resolve=True)
+        node = OmegaConf.load(configured[entry])
+        (vehicle,) = [d["override /vehicle"] for d in node.get("defaults", []) if "override /vehicle" in d] or [None]
+        if vehicle != chosen["vehicle"]:
+            raise InputError(
+                f"{where}: {entry} is of vehicle {vehicle}, the others of {chosen['vehicle']}; diagnose one car"
+            )
+        return OmegaConf.to_container(node.recording, resolve=True)
+
+    for where in ("recordings", "heldout"):
+        entries = typing.cast(list[str], OmegaConf.to_container(cfg[where]))
+        cfg[where] = [resolved(str(entry), where) for entry in entries]
+    return cfg
 
 
 def run_folder(cfg: DictConfig, *, inputs: Mapping[str, str]) -> RunFolder:

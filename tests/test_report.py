@@ -313,7 +313,7 @@ def test_the_page_stands_alone_and_escapes_what_it_is_given(tmp_path: Path) -> N
     page.write_page(
         tmp_path / "report.html",
         title="a <car>",
-        table_html=tables.html(tables.for_people(table())),
+        sections={"Parameters": page.in_section(tables.html(tables.for_people(table())), tables.LEGEND)},
         notes=["C_alpha < 1e5 & so on"],
         warnings=["h_cog is " + tables.NOT_IDENTIFIED],
         figures={"Posterior": tmp_path / "a.png"},

@@ -103,6 +103,37 @@ class Windows:
     notes: tuple[str, ...] = ()
 
 
+def joined(parts: Sequence[Windows], names: Sequence[str]) -> Windows:
+    """Windows of several recordings as those of one, its clock running through them one after another.
+
+    The spread of initial states is the largest of each. Raises InputError for recordings of different rates, channels
+    or sensor groups; `names` are what it calls them.
+    """
+    first, elapsed, u = parts[0], 0.0, []
+    for part, name in zip(parts, names, strict=True):
+        for what in ("rate", "channels", "groups"):
+            if getattr(part, what) != getattr(first, what):
+                raise InputError(
+                    f"recordings {names[0]} and {name} differ in their {what}: {getattr(first, what)} and "
+                    f"{getattr(part, what)}; one diagnosis needs the same of all (recording.rate resamples)"
+                )
+        moved = part.u.copy()
+        moved[..., INPUTS.index("time")] += elapsed - part.u[..., INPUTS.index("time")].min()
+        elapsed = float(moved[..., INPUTS.index("time")].max()) + 1.0 / part.rate
+        u.append(moved)
+    notes = tuple(f"{name}: {note}" for part, name in zip(parts, names, strict=True) for note in part.notes)
+    return replace(
+        first,
+        u=np.concatenate(u),
+        y=np.concatenate([part.y for part in parts], axis=1),
+        valid=np.concatenate([part.valid for part in parts], axis=1),
+        x0=np.concatenate([part.x0 for part in parts]),
+        x0_std=np.max([part.x0_std for part in parts], axis=0),
+        t=np.concatenate([part.t for part in parts]),
+        notes=notes if len(parts) > 1 else first.notes,
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Recording:
     """Channels on a uniform grid `t` [s] at `rate` [Hz]; `notes` lists what was filled, masked, resampled, flagged.

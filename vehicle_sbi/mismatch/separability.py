@@ -10,8 +10,7 @@ All of it follows from the simulator, before the data are looked at. With J the 
     absorbed = (J'J + P)^-1 J'g        how far the fitted parameters move instead, per unit of the effect
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -20,21 +19,12 @@ from scipy.stats import norm
 
 from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.parameters import Parameter, ParameterSpace
-from vehicle_sbi.physics.effects import CATALOGUE, Effect
+from vehicle_sbi.mismatch.candidates import left_out, null, slopes
+from vehicle_sbi.parameters import Parameter
 
 LEVEL, POWER = 0.05, 0.8
 SEEN = float(norm.isf(LEVEL / 2) + norm.ppf(POWER))  # standard deviations, 2.80
-STEP = 0.05  # of a parameter's prior width, for differences from its null: enough for a lag to outlast a sample
 INSEPARABLE = 0.95  # coherence from which two candidates count as one
-
-
-@dataclass(frozen=True)
-class Direction:
-    """A parameter along which an effect leaves its null, with the effect's other parameters held where it can act."""
-
-    parameter: Parameter
-    held: dict[Parameter, float]
 
 
 @dataclass(frozen=True)
@@ -53,8 +43,8 @@ class Candidate:
     @property
     def visible(self) -> bool:
         """Whether the smallest size that is seen lies within the effect's prior."""
-        null = self.parameter.null or 0.0
-        return self.size <= max(self.parameter.high - null, null - self.parameter.low)
+        rest = null(self.parameter)
+        return self.size <= max(self.parameter.high - rest, rest - self.parameter.low)
 
 
 @dataclass(frozen=True)
@@ -74,80 +64,9 @@ class Card:
         return sorted((group for group in sets if len(group) > 1), key=len, reverse=True)
 
 
-def _null(p: Parameter) -> float:
-    assert p.null is not None
-    return p.null
-
-
-def _middle(p: Parameter) -> float:
-    """Halfway from the null to the prior's farther bound."""
-    return 0.5 * (_null(p) + (p.high if p.high - _null(p) >= _null(p) - p.low else p.low))
-
-
-def _away(p: Parameter) -> float:
-    """A small step from the null into the prior."""
-    width = STEP * (p.high - p.low)
-    return _null(p) + (width if p.high - _null(p) >= _null(p) - p.low else -width)
-
-
-def _responses(
-    simulator: Simulator, theta: Float[np.ndarray, " d"], points: Sequence[dict[Parameter, float]]
-) -> Float[np.ndarray, "n channels time"]:
-    """Noise-free series at theta with effect parameters as each point has them, all others at their null."""
-    extra = tuple({p: None for point in points for p in point})
-    extended = replace(simulator, space=ParameterSpace((*simulator.space.parameters, *extra)))
-    rows = [[*theta, *(point.get(p, _null(p)) for p in extra)] for point in points]
-    return extended.noise_free(np.array(rows))
-
-
-def directions(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effect) -> list[Direction]:
-    """Along which parameters an effect can leave its null here.
-
-    A parameter that changes nothing by itself (the duration of a gust without force) gives the effect its shape: the
-    others are tried with it held in the middle of its prior. If no parameter acts by itself, the first one that makes
-    the effect vanish whatever the shape is the direction.
-    """
-    quiet = _responses(simulator, theta, [{}])[0]
-    alone = _responses(simulator, theta, [{p: _away(p)} for p in effect.parameters])
-    acts = {
-        p: bool(np.nanmax(np.abs(y - quiet), initial=0.0) > 0.0) for p, y in zip(effect.parameters, alone, strict=True)
-    }
-    held = {p: _middle(p) for p in effect.parameters if not acts[p]}
-    if any(acts.values()):
-        return [Direction(p, held) for p in effect.parameters if acts[p]]
-    for p in effect.parameters:
-        shape = {other: value for other, value in held.items() if other is not p}
-        rested, moved = _responses(simulator, theta, [shape, shape | {p: _away(p)}])
-        if np.array_equal(rested, quiet) and not np.array_equal(moved, quiet):
-            return [Direction(p, shape)]
-    return []
-
-
-def candidates(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> list[Direction]:
-    """Directions of every effect of the catalogue of which nothing is fitted."""
-    fitted = {name.split(".")[0] for name in simulator.space.names}
-    return [
-        direction
-        for effect in CATALOGUE.values()
-        if effect.name not in fitted
-        for direction in directions(simulator, theta, effect)
-    ]
-
-
-def slopes(
-    simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[Direction]
-) -> Float[np.ndarray, "k channels time"]:
-    """Change of the series per unit of each direction's parameter, from a small step off the null."""
-    points = [{**d.held, d.parameter: _away(d.parameter)} for d in found]
-    rested = [{**d.held, d.parameter: _null(d.parameter)} for d in found]
-    y = _responses(simulator, theta, [*points, *rested])
-    steps = np.array([_away(d.parameter) - _null(d.parameter) for d in found])
-    return (y[: len(found)] - y[len(found) :]) / steps[:, None, None]
-
-
 def card(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> Card:
     """What the recording behind `simulator` could show if the car is as theta says."""
-    at, found = sensitivity(simulator, theta), candidates(simulator, theta)
+    at, found = sensitivity(simulator, theta), left_out(simulator, theta)
     noise, valid = simulator.noise, simulator.windows.valid
     std = noise.std(at.y)
 

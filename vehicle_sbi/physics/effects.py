@@ -35,6 +35,11 @@ class Effect:
     source: str
     parameters: tuple[Parameter, ...]
 
+    @property
+    def timed(self) -> bool:
+        """Whether it is tied to the clock of one recording: it begins at a moment, or follows a profile over it."""
+        return any(p.name.endswith((".start", ".angle_0")) for p in self.parameters)
+
 
 def _effect(
     name: str, enters_at: str, meaning: str, equation: str, source: str, **parameters: tuple[str, float, float, float]

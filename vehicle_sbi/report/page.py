@@ -7,7 +7,6 @@ from pathlib import Path
 
 from vehicle_sbi.files import write_text
 from vehicle_sbi.report.figures import DPI
-from vehicle_sbi.report.tables import LEGEND
 
 CSS_PIXELS_PER_INCH = 96
 
@@ -38,21 +37,21 @@ def write_page(
     path: Path,
     *,
     title: str,
-    table_html: str,
+    sections: Mapping[str, str],
     notes: Sequence[str],
     figures: Mapping[str, Path],
     warnings: Sequence[str] = (),
 ) -> None:
-    """Write the page: warnings first, then the table, the notes and the figures (caption to PNG file) in their order.
+    """Write the page: warnings first, then sections, the notes and the figures (caption to PNG file) in their order.
 
-    `table_html` is taken as it is (`tables.html`); all other text is escaped.
+    What is in a section (heading to HTML, as `tables.html` makes it) is taken as it is; all other text is escaped.
     """
     alarm = "".join(f"<p>{escape(line)}</p>" for line in warnings)
     listed = "".join(f"<li>{escape(line)}</li>\n" for line in notes)
     parts = [
         f"<h1>{escape(title)}</h1>",
         f'<section class="warnings" role="alert">{alarm}</section>' if alarm else "",
-        f'<h2>Parameters</h2>\n<div class="table">{table_html}</div>\n<p class="legend">{escape(LEGEND)}</p>',
+        *(f"<h2>{escape(heading)}</h2>\n{content}" for heading, content in sections.items()),
         f"<h2>Notes</h2>\n<ul>\n{listed}</ul>" if listed else "",
         "<h2>Figures</h2>" if figures else "",
         *(_figure(caption, file) for caption, file in figures.items()),
@@ -61,6 +60,12 @@ def write_page(
     body = "\n".join(part for part in parts if part)
     head += f"<style>{_CSS}</style>"
     write_text(path, f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}\n</body>\n</html>\n')
+
+
+def in_section(table: str, legend: str = "") -> str:
+    """A table's HTML that scrolls where it is wider than the page, with what explains it below."""
+    below = f'\n<p class="legend">{escape(legend)}</p>' if legend else ""
+    return f'<div class="table">{table}</div>{below}'
 
 
 def _figure(caption: str, file: Path) -> str:

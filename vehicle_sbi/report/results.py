@@ -18,9 +18,9 @@ from vehicle_sbi.inference.simulator import STIFFNESSES
 from vehicle_sbi.inference.study import Prepared
 from vehicle_sbi.report.figures import contraction_bars, losses, pairplot
 from vehicle_sbi.report.figures import predictive as predictive_figure
-from vehicle_sbi.report.page import write_page
+from vehicle_sbi.report.page import in_section, write_page
 from vehicle_sbi.report.run_folder import RunFolder
-from vehicle_sbi.report.tables import for_people, html, nominal_table, posterior_table, terminal, write_tables
+from vehicle_sbi.report.tables import LEGEND, for_people, html, nominal_table, posterior_table, terminal, write_tables
 from vehicle_sbi.rng import Stream, seed_torch
 
 LEAKING = 0.5  # acceptance below which the last round is warned about
@@ -68,7 +68,7 @@ def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, sampl
     write_page(
         folder.path / "report.html",
         title=f"Parameters of {prepared.name}",
-        table_html=html(for_people(found.table)),
+        sections={"Parameters": in_section(html(for_people(found.table)), LEGEND)},
         notes=told,
         figures=figures,
         warnings=warnings,

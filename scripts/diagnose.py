@@ -1,0 +1,28 @@
+"""Where simulation and recordings differ, what physics was left out, and whether modelling it helps on held-out data.
+
+python scripts/diagnose.py recordings=[a.csv,b.csv] heldout=[c.csv] vehicle=car.yaml
+python scripts/diagnose.py recording=volvo_s90_slalom
+"""
+
+from _entry import launch, named_recordings, run_folder  # first: it sets the number of threads
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from vehicle_sbi.inference.simulator import use_cores
+from vehicle_sbi.report.diagnosis import diagnose, show
+
+
+@launch("diagnose")
+def main(cfg: DictConfig) -> None:
+    diagnosis = instantiate(named_recordings(cfg).diagnosis)
+    use_cores(cfg.engine.cores)
+    case = diagnosis.prepare()
+    with run_folder(cfg, inputs=case.inputs) as folder:
+        if not folder.finished:
+            diagnose(folder, case, seed=cfg.seed)
+        show(folder)
+
+
+if __name__ == "__main__":
+    main()

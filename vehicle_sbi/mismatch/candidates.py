@@ -1,0 +1,152 @@
+"""What could be missing: each effect of the catalogue along every direction in which it leaves its null.
+
+A direction is one parameter of an effect that acts, with the effect's other parameters, which only give it its shape
+(when it begins, how long it lasts, where it acts), held at one of a few values. Small steps along it, simulated, say
+what the recording would look like with a little of the effect.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.parameters import Parameter, ParameterSpace
+from vehicle_sbi.physics.effects import CATALOGUE, Effect
+from vehicle_sbi.physics.single_track import INPUTS
+
+STEP = 0.05  # of a parameter's prior width, for differences from its null: enough for a lag to outlast a sample
+SHAPES = 3  # values at which a parameter of shape is held
+SHARES = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording that something may last, begun at every half of it
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A parameter along which an effect leaves its null, with the effect's other parameters held where it can act."""
+
+    effect: str
+    parameter: Parameter
+    held: dict[Parameter, float]
+
+    @property
+    def low(self) -> float:
+        """How far the prior reaches below the null."""
+        return self.parameter.low - null(self.parameter)
+
+    @property
+    def high(self) -> float:
+        """How far it reaches above."""
+        return self.parameter.high - null(self.parameter)
+
+
+def null(p: Parameter) -> float:
+    """Where the effect of a parameter of the catalogue vanishes."""
+    if p.null is None:
+        raise ValueError(f"{p.name} is a constant of the vehicle: it has no null")
+    return p.null
+
+
+def middle(p: Parameter) -> float:
+    """Halfway from the null to the prior's farther bound."""
+    return 0.5 * (null(p) + (p.high if p.high - null(p) >= null(p) - p.low else p.low))
+
+
+def away(p: Parameter) -> float:
+    """A small step from the null into the prior."""
+    width = STEP * (p.high - p.low)
+    return null(p) + (width if p.high - null(p) >= null(p) - p.low else -width)
+
+
+def extent(simulator: Simulator) -> float:
+    """How long the recordings last together [s]."""
+    return float(simulator.windows.u[..., INPUTS.index("time")].max())
+
+
+def within(simulator: Simulator, effect: Effect) -> Effect:
+    """The effect with the boxes of what begins and lasts as wide as the recordings."""
+    seconds = extent(simulator)
+    timed = ("start", "duration")
+    parameters = (replace(p, high=seconds) if p.name.split(".")[-1] in timed else p for p in effect.parameters)
+    return replace(effect, parameters=tuple(parameters))
+
+
+def responses(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], points: Sequence[dict[Parameter, float]]
+) -> Float[np.ndarray, "n channels time"]:
+    """Noise-free series at theta with effect parameters as each point has them, all others at their null."""
+    extra = tuple({p: None for point in points for p in point})
+    extended = replace(simulator, space=ParameterSpace((*simulator.space.parameters, *extra)))
+    rows = [[*theta, *(point.get(p, null(p)) for p in extra)] for point in points]
+    return extended.noise_free(np.array(rows))
+
+
+def directions(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effect) -> list[Direction]:
+    """Along which parameters an effect can leave its null here.
+
+    A parameter that changes nothing by itself (the duration of a gust without force) gives the effect its shape: the
+    others are tried with it held in the middle of its prior. If no parameter acts by itself, the first one that makes
+    the effect vanish whatever the shape is the direction.
+    """
+    effect = within(simulator, effect)
+    free = tuple(p for p in effect.parameters if p.name not in simulator.space.names)
+    tried = responses(simulator, theta, [{}, *({p: away(p)} for p in free)])
+    quiet, alone = tried[0], tried[1:]
+    acts = {p: _differ(y, quiet) for p, y in zip(free, alone, strict=True)}
+    held = {p: middle(p) for p in free if not acts[p]}
+    if any(acts.values()):
+        return [_shaped(simulator, theta, Direction(effect.name, p, held)) for p in free if acts[p]]
+    for p in free:
+        shape = {other: value for other, value in held.items() if other is not p}
+        rested, moved = responses(simulator, theta, [shape, shape | {p: away(p)}])
+        if np.array_equal(rested, quiet) and not np.array_equal(moved, quiet):
+            return [_shaped(simulator, theta, Direction(effect.name, p, shape))]
+    return []
+
+
+def _differ(y: Float[np.ndarray, "channels time"], from_y: Float[np.ndarray, "channels time"]) -> bool:
+    return bool(np.nanmax(np.abs(y - from_y), initial=0.0) > 0.0)
+
+
+def _shaped(simulator: Simulator, theta: Float[np.ndarray, " d"], direction: Direction) -> Direction:
+    """The direction without those held parameters that make no difference to it."""
+    if not direction.held:
+        return direction
+    moved = {**direction.held, direction.parameter: away(direction.parameter)}
+    y = responses(simulator, theta, [moved, *({**moved, p: null(p)} for p in direction.held)])
+    matters = {
+        p: value for (p, value), other in zip(direction.held.items(), y[1:], strict=True) if _differ(other, y[0])
+    }
+    return replace(direction, held=matters)
+
+
+def left_out(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> list[Direction]:
+    """Directions of every effect of the catalogue along what of it is not fitted."""
+    return [direction for effect in CATALOGUE.values() for direction in directions(simulator, theta, effect)]
+
+
+def shapes(simulator: Simulator, direction: Direction) -> list[Direction]:
+    """The direction with its parameters of shape held at each of a few values: times at every half of what lasts."""
+    timed = {p.name.split(".")[-1]: p for p in direction.held}
+    others = [p for p in direction.held if p.name.split(".")[-1] not in ("start", "duration")]
+    spread = [np.linspace(p.low, p.high, SHAPES).tolist() for p in others]
+    grid = [dict(zip(others, values, strict=True)) for values in itertools.product(*spread)]
+    if {"start", "duration"} <= timed.keys():
+        seconds = extent(simulator)
+        spans = [
+            {timed["start"]: begin, timed["duration"]: share * seconds}
+            for share in SHARES
+            for begin in np.arange(0.0, (1.0 - share) * seconds + 1e-9, max(share / 2, SHARES[0]) * seconds)
+        ]
+        grid = [shape | span for shape in grid for span in spans]
+    return [replace(direction, held=shape) for shape in grid]
+
+
+def slopes(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[Direction]
+) -> Float[np.ndarray, "k channels time"]:
+    """Change of the series per unit of each direction's parameter, from a small step off the null."""
+    y = responses(simulator, theta, [{}, *({**d.held, d.parameter: away(d.parameter)} for d in found)])
+    steps = np.array([away(d.parameter) - null(d.parameter) for d in found])
+    return (y[1:] - y[0]) / steps[:, None, None]

@@ -1,0 +1,89 @@
+"""What is to be diagnosed: a vehicle, the recordings that it is fitted to, and those that are held out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vehicle_sbi.data.noise import DrawnProcessNoise, EstimatedNoise, Mixture
+from vehicle_sbi.data.readers import RecordingFile
+from vehicle_sbi.data.recording import Recording, Windows, joined
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.setup import Setup
+from vehicle_sbi.mismatch.fit import Observation
+from vehicle_sbi.parameters import ParameterSpace
+
+HELD_OUT = 0.25  # share of the recordings' time that is held out where no recording is
+MOST_WINDOWS = 40  # into which recordings are cut for fitting; longer ones get longer windows
+NO_DRAWS = DrawnProcessNoise(Mixture(np.zeros(0), np.zeros(0)), Mixture(np.zeros(0), np.zeros(0)), False)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Observations to fit and to hold out, with what was read on the way."""
+
+    name: str
+    observation: Observation
+    held_out: Observation
+    held_out_names: tuple[str, ...]
+    apart: bool
+    notes: tuple[str, ...]
+    inputs: dict[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis(Setup):
+    """Which recordings are fitted and which are held out; a path is read as `recording` says, which stands alone too.
+
+    Without held-out recordings, blocks of the others' time are held out, with a buffer around them.
+    """
+
+    recording: RecordingFile
+    recordings: Sequence[str | RecordingFile]
+    heldout: Sequence[str | RecordingFile]
+
+    def prepare(self) -> Case:
+        """Read everything; InputError for recordings that do not go together."""
+        training_files = self._files(self.recordings or [self.recording])
+        files = [*training_files, *self._files(self.heldout)]
+        read = [file.load() for file in files]
+        twice = {recording.source for recording in read[len(training_files) :]} & {
+            r.source for r in read[: len(training_files)]
+        }
+        if twice:
+            raise InputError(f"heldout: {', '.join(sorted(twice))} is also fitted; hold out another recording")
+        n = len(training_files)
+        training, held = list(zip(files, read, strict=True))[:n], list(zip(files, read, strict=True))[n:]
+        names = tuple(recording.name for _, recording in held)
+        if not held:
+            parts = [(file, recording.holdout(share=HELD_OUT)) for file, recording in training]
+            training = [(file, kept) for file, (kept, _) in parts]
+            held = [(file, out) for file, (_, out) in parts]
+            names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
+        space = self.space()
+        longer = replace(self, window_s=max(self.window_s, sum(len(r.t) / r.rate for r in read) / MOST_WINDOWS))
+        observation = longer.observe(space, training)
+        return Case(
+            name=f"{self.vehicle.name} from {', '.join(recording.name for _, recording in training)}",
+            observation=observation,
+            held_out=longer.observe(space, held, like=observation),
+            held_out_names=names,
+            apart=bool(self.heldout),
+            notes=observation.simulator.windows.notes,
+            inputs={recording.source: recording.sha256 for recording in read},
+        )
+
+    def _files(self, given: Sequence[str | RecordingFile]) -> list[RecordingFile]:
+        """Paths with the settings of `recording`, and named recordings with their own."""
+        return [replace(self.recording, path=one, name=None) if isinstance(one, str) else one for one in given]
+
+    def observe(
+        self, space: ParameterSpace, pairs: Sequence[tuple[RecordingFile, Recording]], like: Observation | None = None
+    ) -> Observation:
+        """The recordings as one observation, simulated with the same step as another one where `like` is given."""
+        parts = [self.windows(recording, file) for file, recording in pairs]
+        windows: Windows = joined(parts, [recording.name for _, recording in pairs])
+        simulator = replace(self.simulator(space, windows, uniform_start=False), process=NO_DRAWS)
+        if like is not None:
+            simulator = replace(simulator, substeps=max(simulator.substeps, like.simulator.substeps))
+        return Observation(simulator, np.where(windows.valid, windows.y, 0.0), isinstance(self.noise, EstimatedNoise))

@@ -1,0 +1,232 @@
+"""What was left out: sets of effects, their evidence, none and unknown, and what this recording cannot tell apart.
+
+From the base model on, the most promising effects by their first-order scores are put into the model and all its
+parameters are fitted again, under noise of its own. A model that still leaves something over is extended further; what
+no set explains is *unknown*. Probabilities follow from Laplace's evidence of each set and a prior that is reluctant to
+add effects; that of *unknown* from how often noise alone would leave as much over as the best set does.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import logsumexp
+
+from vehicle_sbi.mismatch.candidates import Direction, left_out, null, shapes, slopes, within
+from vehicle_sbi.mismatch.detect import Scores, score
+from vehicle_sbi.mismatch.fit import Fit, Observation, descend, with_own_noise
+from vehicle_sbi.mismatch.locate import Block, blocks
+from vehicle_sbi.parameters import Parameter, ParameterSpace
+from vehicle_sbi.physics.effects import CATALOGUE
+
+LEVEL = 0.05  # of the test whether anything is missing
+TRIED, LEAST_SHARE = 8, 0.3  # effects that are fitted fully beside each model, and of the best one's evidence
+BEAM = 2  # models that are extended further
+MOST_EFFECTS = 3
+RELUCTANCE = (0.5, 0.4, 0.09, 0.01)  # prior probability of none, one, two, three effects
+UNKNOWN = 0.2  # prior odds of something outside the catalogue, beside the best model
+SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
+TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
+NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
+SLACK = 5.0  # log evidence by which the first order may be off
+NEVER = -1e9
+
+
+@dataclass(frozen=True)
+class Model:
+    """The base model with a set of effects, fitted; `explained` is the score of all of them together."""
+
+    effects: tuple[str, ...]
+    fit: Fit
+    explained: float
+
+    @property
+    def log_evidence(self) -> float:
+        return self.fit.log_evidence
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A model with everything that it leaves out: directions and blocks, their scores, and the p-value of the largest.
+
+    Scores are in the order directions, then blocks.
+    """
+
+    model: Model
+    directions: list[Direction]
+    blocks: list[Block]
+    scores: Scores
+
+    @property
+    def p_value(self) -> float:
+        """How often noise alone would leave as much over, beyond what no model gets right."""
+        z = np.abs(self.scores.z).max(initial=0.0)
+        z /= np.sqrt(1.0 + (TOLERANCE * self.model.explained) ** 2)
+        highest = np.abs(self.scores.null).max(axis=1)
+        return float((1.0 + (highest >= z).sum()) / (len(highest) + 1.0))
+
+
+@dataclass(frozen=True)
+class Version:
+    """A way in which an effect may act: its parameters and where to start fitting them, with what speaks for it."""
+
+    effect: str
+    start: dict[Parameter, float]
+    log_evidence: float
+    score: float
+
+
+def examine(model: Model, rng: np.random.Generator) -> Examined:
+    """Scores of all that a model leaves out."""
+    simulator, theta = model.fit.simulator, model.fit.theta
+    found = [shape for direction in left_out(simulator, theta) for shape in shapes(simulator, direction)]
+    places, bumps = blocks(simulator, model.fit.at.y)
+    changes = np.concatenate([slopes(simulator, theta, found), bumps])
+    far = np.full(len(places), np.inf)
+    low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
+    scores = score(model.fit, changes, np.concatenate([low, -far]), np.concatenate([high, far]), rng=rng)
+    return Examined(model, found, places, scores)
+
+
+def versions(examined: Examined) -> list[Version]:
+    """The best way in which each effect may act, the most promising effect first."""
+    by_effect: dict[str, dict[str, list[int]]] = {}
+    for k, direction in enumerate(examined.directions):
+        by_effect.setdefault(direction.effect, {}).setdefault(direction.parameter.name, []).append(k)
+    found = [_version(examined, name, list(rows.values())) for name, rows in by_effect.items()]
+    return sorted(found, key=lambda version: -version.log_evidence)
+
+
+def _version(examined: Examined, effect: str, rows: Sequence[list[int]]) -> Version:
+    """The likeliest of: one of the effect's parameters alone (averaged over its shapes), or all of them together."""
+    scores = examined.scores
+    with np.errstate(invalid="ignore"):
+        evidence = np.nan_to_num(scores.log_evidence[: len(examined.directions)], nan=NEVER, neginf=NEVER)
+    singles = [float(logsumexp(evidence[ks]) - np.log(len(ks))) for ks in rows]
+    leading = [ks[int(np.argmax(evidence[ks]))] for ks in rows]
+    joint = _jointly(examined, leading) if len(leading) > 1 else NEVER
+    chosen = leading if joint > max(singles) else [leading[int(np.argmax(singles))]]
+    sizes = np.linalg.solve(scores.cross[np.ix_(chosen, chosen)] + _precision(examined, chosen), scores.b[chosen])
+    start: dict[Parameter, float] = {}
+    for k in chosen:
+        d = examined.directions[k]
+        start |= {p: value for p, value in d.held.items() if len(chosen) == 1 or p not in start}
+    for k, size in zip(chosen, sizes, strict=True):
+        d = examined.directions[k]
+        start[d.parameter] = null(d.parameter) + float(np.clip(size, 0.98 * d.low, 0.98 * d.high))
+    z = float(np.sqrt(max(scores.b[chosen] @ sizes, 0.0)))
+    return Version(effect, start, max(joint, *singles), z)
+
+
+def _precision(examined: Examined, rows: list[int]) -> Float[np.ndarray, "q q"]:
+    """Of normal priors as wide as the boxes of some directions."""
+    width = np.array([examined.directions[k].high - examined.directions[k].low for k in rows])
+    return np.diag(12.0 / width**2)
+
+
+def _jointly(examined: Examined, rows: list[int]) -> float:
+    """Log Bayes factor of several directions together against none, at first order under normal priors."""
+    H, P = examined.scores.cross[np.ix_(rows, rows)].astype(float), _precision(examined, rows)
+    b = examined.scores.b[rows].astype(float)
+    _, log_det = np.linalg.slogdet(np.eye(len(rows)) + np.linalg.solve(P, H))
+    return float(0.5 * b @ np.linalg.solve(H + P, b) - 0.5 * log_det)
+
+
+def extended(model: Model, version: Version) -> Model | None:
+    """The model with one more effect, all parameters fitted under noise of its own; None if it cannot be simulated."""
+    simulator = model.fit.simulator
+    boxes = {p.name: p for p in within(simulator, CATALOGUE[version.effect]).parameters}
+    added = [replace(boxes[p.name]) for p in version.start]
+    wider = replace(simulator, space=ParameterSpace((*simulator.space.parameters, *added)))
+    start = np.concatenate([model.fit.theta, list(version.start.values())])
+    found = descend(model.fit.observation.extended(wider), start, STEPS)
+    if found is None:
+        return None
+    fit = with_own_noise(found, NOISE_ROUNDS, STEPS)
+    return Model(tuple(sorted((*model.effects, version.effect))), fit, float(np.hypot(model.explained, version.score)))
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Sets of effects with their probabilities, the most probable first; what is examined is base and best."""
+
+    models: list[Model]
+    probability: list[float]
+    p_none: float
+    p_unknown: float
+    base: Examined
+    best: Examined
+
+    @property
+    def p_value(self) -> float:
+        """How often noise alone would look as much as if something were missing."""
+        return self.base.scores.p_value
+
+    @property
+    def detected(self) -> bool:
+        return self.p_value < LEVEL
+
+    def indistinguishable(self, share: float = 0.9) -> list[tuple[str, ...]]:
+        """The smallest set of explanations that holds `share` of the probability of all named ones."""
+        total, kept = sum(self.probability), []
+        for model, probability in zip(self.models, self.probability, strict=True):
+            kept.append(model.effects)
+            share -= probability / total if total > 0 else 1.0
+            if share <= 0:
+                break
+        return kept
+
+
+def explain(observation: Observation, base: Fit, *, rng: np.random.Generator) -> Explanation:
+    """Search sets of effects from the base model on."""
+    none = Model((), base, 0.0)
+    first = examine(none, rng)
+    pool, best = {(): none}, first
+    frontier = [first] if first.scores.p_value < LEVEL else []
+    for _ in range(MOST_EFFECTS):
+        grown = {
+            model.effects: model for examined in frontier for model in _grow(examined) if model.effects not in pool
+        }
+        pool |= grown
+        leading = sorted(grown.values(), key=_weight, reverse=True)[:BEAM]
+        if not leading or _weight(leading[0]) <= _weight(best.model):
+            break
+        frontier = [examine(model, rng) for model in leading]
+        best = frontier[0]
+        if best.scores.p_value > LEVEL:
+            break
+    return _judge(pool, first, best)
+
+
+def _grow(examined: Examined) -> Iterator[Model]:
+    """The model with each of its most promising effects."""
+    promising = versions(examined)[:TRIED]
+    for version in promising:
+        if version.log_evidence < LEAST_SHARE * promising[0].log_evidence - SLACK:
+            return
+        if version.score > 0 and (model := extended(examined.model, version)) is not None:
+            yield model
+
+
+def _weight(model: Model) -> float:
+    """Log prior plus log evidence."""
+    n = len(model.effects)
+    return float(np.log(RELUCTANCE[n]) - n * np.log(len(CATALOGUE)) + model.log_evidence)
+
+
+def _judge(pool: dict[tuple[str, ...], Model], first: Examined, best: Examined) -> Explanation:
+    """Probabilities of all models that were fitted, and of what none of them explains."""
+    weights = {effects: _weight(model) for effects, model in pool.items()}
+    odds = np.log(UNKNOWN * SURPRISE) + (SURPRISE - 1.0) * np.log(best.p_value)
+    unknown = weights[best.model.effects] + float(odds)
+    total = float(logsumexp([*weights.values(), unknown]))
+    named = sorted((effects for effects in pool if effects), key=lambda effects: -weights[effects])
+    return Explanation(
+        models=[pool[effects] for effects in named],
+        probability=[float(np.exp(weights[effects] - total)) for effects in named],
+        p_none=float(np.exp(weights[()] - total)),
+        p_unknown=float(np.exp(unknown - total)),
+        base=first,
+        best=best,
+    )

@@ -1,0 +1,268 @@
+"""The fit of a model to what was recorded, under noise that is estimated together with it.
+
+The series y(theta) + J_x x + noise has parameters theta in a box, initial states x of each window with a known spread,
+and autocorrelated noise. `Metric` takes changes of the series to units in which noise and initial states together are
+independent standard normal,
+
+    A = (I + J_x' J_x)^(-1/2) W        W whitens the noise, J_x is whitened and in units of the initial states' spread
+
+so that everything else is least squares: Gauss-Newton steps in A's units inside the box, noise estimated from what the
+fit leaves over, both in turn until neither moves.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import lsq_linear
+
+from vehicle_sbi.data.noise import MeasurementNoise, from_residual
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.simulator import Simulator
+
+STEP = 1e-3  # of the prior's width or of an initial state's standard deviation, for differences
+DAMPING = 1e-3  # information in units of the prior that keeps directions which nothing sees from running away
+SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tried
+MOST_STEPS = 15
+CONVERGED = 0.01  # decrease of half the sum of squares, which is log likelihood, at which a fit ends
+NOISE_ROUNDS = 4  # of fit and noise at most
+STATES = ("v_x", "v_y", "r")
+
+Series = Float[np.ndarray, "channels time"]
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What was recorded (zero where masked), and the simulator that is driven as the car was.
+
+    `estimated` says whether the noise is to be estimated, rather than known.
+    """
+
+    simulator: Simulator
+    observed: Series
+    estimated: bool
+
+    def extended(self, simulator: Simulator) -> "Observation":
+        return replace(self, simulator=simulator)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The model about theta: y, its derivatives J (d, channels, time) by theta in units of the prior's standard
+    deviations, and J_x (k, channels, time) by each kind of initial state, of all windows at once, in theirs."""
+
+    y: Series
+    J: Float[np.ndarray, "d channels time"]
+    J_x: Float[np.ndarray, "k channels time"]
+
+
+def linearise(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], J_x: Float[np.ndarray, "k channels time"] | None = None
+) -> Linear:
+    """Differences towards the middle of the box, in one batch; J_x is taken as it is where it is given.
+
+    Windows do not see each other's initial states, so one difference moves those of all windows.
+    """
+    d, names, space = len(theta), simulator.nuisances, simulator.space
+    kinds = [kind for kind in STATES if J_x is None and any(name.startswith(f"{kind}_") for name in names)]
+    steps = np.where(theta < 0.5 * (space.low + space.high), STEP, -STEP) * (space.high - space.low)
+    theta_rows = theta + np.concatenate([np.zeros((1, d)), np.diag(steps), np.zeros((len(kinds), d))])
+    eta_rows = np.zeros((len(theta_rows), len(names)))
+    for row, kind in enumerate(kinds, start=1 + d):
+        eta_rows[row] = [STEP * name.startswith(f"{kind}_") for name in names]
+    y = simulator.noise_free(theta_rows, eta_rows)
+    change = y[1:] - y[0]
+    J = change[:d] / (steps / space.prior_std)[:, None, None]
+    return Linear(y[0], J, change[d:] / STEP if J_x is None else J_x)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """Units in which noise and initial states together are independent and standard normal.
+
+    `basis` (windows, k, channels * samples) spans what initial states do in each window, orthonormal; `gain` their
+    standard deviations along it, in units of the noise.
+    """
+
+    noise: MeasurementNoise
+    std: Series
+    valid: Bool[np.ndarray, "channels time"]
+    basis: Float[np.ndarray, "windows k samples"]
+    gain: Float[np.ndarray, "windows k"]
+
+    @classmethod
+    def of(cls, simulator: Simulator, at: Linear) -> "Metric":
+        noise, valid = simulator.noise, simulator.windows.valid
+        std = noise.std(at.y)
+        white = noise.whiten(np.nan_to_num(at.J_x), std, valid)
+        _, gain, basis = np.linalg.svd(_by_window(white, noise.window), full_matrices=False)
+        return cls(noise, std, valid, basis, gain)
+
+    def __call__(self, changes: Float[np.ndarray, "*k channels time"]) -> Float[np.ndarray, "*k channels time"]:
+        """Changes of the series in these units; zero where nothing was measured."""
+        white = self.noise.whiten(np.nan_to_num(changes), self.std, self.valid)
+        windows = _by_window(white.reshape(-1, *white.shape[-2:]), self.noise.window)
+        along = windows @ self.basis.transpose(0, 2, 1)
+        shrunk = along * (1.0 - 1.0 / np.sqrt(1.0 + self.gain**2))[:, None]
+        return _by_channel(windows - shrunk @ self.basis, len(self.std)).reshape(white.shape)
+
+    def states(self, residual: Series, at: Linear) -> Series:
+        """The part of a residual that the likeliest initial states explain."""
+        white = _by_window(self.noise.whiten(np.nan_to_num(residual), self.std, self.valid)[None], self.noise.window)
+        J = _by_window(self.noise.whiten(np.nan_to_num(at.J_x), self.std, self.valid), self.noise.window)
+        information = J @ J.transpose(0, 2, 1) + np.eye(J.shape[1])
+        x = np.linalg.solve(information, J @ white.transpose(0, 2, 1))
+        raw = _by_window(np.nan_to_num(at.J_x), self.noise.window)
+        return _by_channel(x.transpose(0, 2, 1) @ raw, len(self.std))[0]
+
+    def log_likelihood(self, residual: Series) -> float:
+        """Log density of a residual: noise and initial states, without the constant of the standard normal."""
+        scale = np.log(self.std)[self.valid].sum() + 0.5 * np.log1p(self.gain**2).sum()
+        for channel, rho in enumerate(self.noise.rho):
+            kept = np.flatnonzero(self.valid[channel])
+            same = kept[:-1] // self.noise.window == kept[1:] // self.noise.window
+            scale += 0.5 * np.log1p(-(rho ** (2.0 * np.diff(kept)[same]))).sum() if rho > 0 else 0.0
+        return float(-0.5 * np.sum(self(residual) ** 2) - scale)
+
+
+def _by_window(series: Float[np.ndarray, "k channels time"], window: int) -> Float[np.ndarray, "windows k samples"]:
+    k, channels, _ = series.shape
+    return series.reshape(k, channels, -1, window).transpose(2, 0, 1, 3).reshape(-1, k, channels * window)
+
+
+def _by_channel(windows: Float[np.ndarray, "windows k samples"], channels: int) -> Float[np.ndarray, "k channels time"]:
+    count, k, samples = windows.shape
+    split = windows.reshape(count, k, channels, samples // channels)
+    return split.transpose(1, 2, 0, 3).reshape(k, channels, -1)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model at its best: the observation under the noise that belongs to it, theta, and the model about it."""
+
+    observation: Observation
+    theta: Float[np.ndarray, " d"]
+    at: Linear
+
+    @property
+    def simulator(self) -> Simulator:
+        return self.observation.simulator
+
+    @cached_property
+    def metric(self) -> Metric:
+        return Metric.of(self.simulator, self.at)
+
+    @cached_property
+    def residual(self) -> Series:
+        """Recorded less simulated, zero where nothing was measured."""
+        return np.where(self.simulator.windows.valid, self.observation.observed - self.at.y, 0.0)
+
+    @property
+    def unexplained(self) -> Series:
+        """The residual without what the likeliest initial states explain."""
+        rest = self.residual - self.metric.states(self.residual, self.at)
+        return np.where(self.simulator.windows.valid, rest, 0.0)
+
+    @cached_property
+    def log_likelihood(self) -> float:
+        return self.metric.log_likelihood(self.residual)
+
+    @property
+    def inside(self) -> Bool[np.ndarray, " d"]:
+        """Which parameters lie inside their box rather than on its rim, so that they could still move either way."""
+        space = self.simulator.space
+        margin = 1e-3 * (space.high - space.low)
+        return (self.theta > space.low + margin) & (self.theta < space.high - margin)
+
+    @cached_property
+    def information(self) -> Float[np.ndarray, "d d"]:
+        """Fisher information in units of the prior's standard deviations."""
+        J = self.metric(self.at.J).reshape(len(self.theta), -1)
+        return J @ J.T
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "d d"]:
+        """Of the parameters in their own units, under a normal prior as wide as the box."""
+        spread = self.simulator.space.prior_std
+        return np.linalg.inv(self.information + np.eye(len(spread))) * np.outer(spread, spread)
+
+    @property
+    def log_evidence(self) -> float:
+        """Laplace's approximation: log likelihood + log prior + log volume of the posterior."""
+        _, log_det = np.linalg.slogdet(self.information + np.eye(len(self.theta)))
+        d = len(self.theta)
+        return self.log_likelihood - 0.5 * float(log_det) + 0.5 * d * (np.log(2 * np.pi) - np.log(12.0))
+
+
+def _steps(fit: Fit) -> Float[np.ndarray, "shares d"]:
+    """Points on the way to where the linearised model fits best inside the box."""
+    space, metric = fit.simulator.space, fit.metric
+    spread = space.prior_std
+    J, r = metric(fit.at.J).reshape(len(spread), -1), metric(fit.residual).reshape(-1)
+    damping = np.sqrt(DAMPING) * np.eye(len(spread))
+    q, triangle = np.linalg.qr(np.concatenate([J.T, damping]))
+    target = q.T @ np.concatenate([r, np.zeros(len(spread))])
+    room = 1e-9 * (space.high - space.low)
+    bounds = ((space.low - room - fit.theta) / spread, (space.high + room - fit.theta) / spread)
+    step = np.asarray(lsq_linear(triangle, target, bounds=bounds, method="bvls").x) * spread
+    return np.clip(fit.theta + np.array(SHARES)[:, None] * step, space.low, space.high)
+
+
+def _cost(metric: Metric, residual: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, " n"]:
+    """Half the sum of squares of each residual, infinite where a simulation failed."""
+    good = np.isfinite(residual).all(axis=(1, 2))
+    cost = np.full(len(residual), np.inf)
+    cost[good] = 0.5 * np.sum(metric(residual[good]) ** 2, axis=(1, 2))
+    return cost
+
+
+def descend(observation: Observation, start: Float[np.ndarray, " d"], steps: int = MOST_STEPS) -> Fit | None:
+    """The optimum that Gauss-Newton finds from `start` under the noise as it is; None where the simulation fails.
+
+    What initial states do is taken from the start, which hardly depends on theta.
+    """
+    fit = Fit(observation, start, linearise(observation.simulator, start))
+    if not np.isfinite(fit.at.y).all():
+        return None
+    valid = observation.simulator.windows.valid
+    for _ in range(steps):
+        now, theta = _cost(fit.metric, fit.residual[None])[0], None
+        for points in np.split(_steps(fit), [1]):  # the whole step, and only if that is too far shorter ones
+            y = observation.simulator.noise_free(points)
+            costs = _cost(fit.metric, np.where(valid, observation.observed - y, 0.0))
+            if now - costs.min() >= CONVERGED:
+                theta = points[int(np.argmin(costs))]
+                break
+        if theta is None:
+            break
+        fit = Fit(observation, theta, linearise(observation.simulator, theta, fit.at.J_x))
+    return fit
+
+
+def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS) -> Fit:
+    """The fit under the noise that it leaves over itself, both in turn until the noise stays; as is if it is known."""
+    for _ in range(rounds if fit.observation.estimated else 0):
+        before = fit.simulator.noise
+        noise = from_residual(fit.unexplained, fit.simulator.windows)
+        found = descend(fit.observation.extended(fit.simulator.with_noise(noise)), fit.theta, steps)
+        if found is None:
+            return fit
+        fit = found
+        if np.allclose(noise.floor, before.floor, rtol=0.01) and np.allclose(noise.rho, before.rho, atol=0.005):
+            break
+    return fit
+
+
+def best(observation: Observation, starts: Float[np.ndarray, "n d"]) -> Fit:
+    """The likeliest of the fits from several starts, under independent noise first and then under its own.
+
+    Raises InputError where the simulation fails at every start.
+    """
+    simulator = observation.simulator
+    white = simulator.with_noise(replace(simulator.noise, rho=np.zeros_like(simulator.noise.rho)))
+    first = observation.extended(white if observation.estimated else simulator)
+    fits = [fit for start in starts if (fit := descend(first, start)) is not None]
+    if not fits:
+        raise InputError("the simulation fails wherever a fit was tried; narrow the prior")
+    return with_own_noise(max(fits, key=lambda fit: fit.log_likelihood))

@@ -1,0 +1,100 @@
+"""Where simulation and recording differ: in which channel, when, and in which regime of the drive.
+
+A block is a smooth bump on one channel over a stretch of time, or on the samples of one channel in one regime: what a
+sensor there would have to read differently. Bumps overlap by half, so that something local has one that fits. Blocks
+are tested like effects are, after what the fitted parameters and initial states can absorb.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.physics.single_track import INPUTS
+
+BLOCKS = 12  # stretches of time that overlap by half
+LEAST_S = 0.5  # [s], the shortest of them
+BUSY = 0.3  # share of samples that a regime takes up: the most extreme of a quantity
+
+
+@dataclass(frozen=True)
+class Block:
+    """A place where simulation and recording may differ; times [s] are those of the recordings, one after another."""
+
+    channel: str
+    from_s: float
+    to_s: float
+    regime: str = ""
+
+
+def _clock(simulator: Simulator) -> Float[np.ndarray, " time"]:
+    return simulator.windows.u[..., INPUTS.index("time")].reshape(-1)
+
+
+def _stretches(simulator: Simulator) -> list[tuple[float, float]]:
+    """Stretches of time of equal length that overlap by half."""
+    t = _clock(simulator)
+    seconds = float(t.max() - t.min())
+    length = max(2.0 * seconds / (BLOCKS + 1), LEAST_S)
+    starts = np.arange(t.min(), t.max() - 0.5 * length, 0.5 * length)
+    return [(float(start), float(start + length)) for start in starts]
+
+
+def regimes(simulator: Simulator, y: Float[np.ndarray, "channels time"]) -> dict[str, Float[np.ndarray, " time"]]:
+    """Signals of the drive whose extremes make a regime: its name, and a value per sample that is zero on average."""
+    u = simulator.windows.u.reshape(-1, len(INPUTS))
+    steering, rate = u[:, INPUTS.index("steering")], simulator.windows.rate
+    signals = {"|steering|": np.abs(steering), "steering rate": np.abs(np.gradient(steering) * rate)}
+    if "a_y" in simulator.windows.channels:
+        signals["|a_y|"] = np.abs(y[simulator.windows.channels.index("a_y")])
+    for name, column in (("speed", "v_x"), ("torque", "torque_front")):
+        if np.ptp(u[:, INPUTS.index(column)]) > 0:
+            signals[name] = u[:, INPUTS.index(column)]
+    return signals
+
+
+def blocks(
+    simulator: Simulator, y: Float[np.ndarray, "channels time"]
+) -> tuple[list[Block], Float[np.ndarray, "k channels time"]]:
+    """Every block and the change of the series that it stands for, of unit height."""
+    t, channels = _clock(simulator), simulator.windows.channels
+    rows: list[Block] = []
+    bumps: list[np.ndarray] = []
+    for start, stop in _stretches(simulator):
+        share = np.clip((t - start) / (stop - start), 0.0, 1.0)
+        for channel in channels:
+            rows.append(Block(channel, start, stop))
+            bumps.append(np.sin(np.pi * share) ** 2)
+    for name, signal in regimes(simulator, y).items():
+        limit = np.quantile(signal, 1.0 - BUSY)
+        for i, channel in enumerate(channels):
+            for regime, shape in (
+                (f"{name} above {limit:.2g}", signal > limit),
+                (name, y[i] * (signal - signal.mean())),
+            ):
+                rows.append(Block(channel, float(t.min()), float(t.max()), regime))
+                bumps.append(shape.astype(float))
+    changes = np.zeros((len(rows), len(channels), len(t)))
+    for k, (block, bump) in enumerate(zip(rows, bumps, strict=True)):
+        changes[k, channels.index(block.channel)] = bump
+    return rows, changes
+
+
+def merged(found: Sequence[Block], score: Float[np.ndarray, " k"]) -> list[tuple[Block, float]]:
+    """Blocks that touch in one channel as one, with the sum of their squared scores; the largest first."""
+    whole: list[tuple[Block, float]] = []
+    order = sorted(range(len(found)), key=lambda k: (found[k].regime, found[k].channel, found[k].from_s))
+    for k in order:
+        block, energy = found[k], float(score[k] ** 2)
+        if whole and _touch(whole[-1][0], block):
+            last, before = whole.pop()
+            block = Block(last.channel, last.from_s, max(last.to_s, block.to_s), last.regime)
+            energy += before
+        whole.append((block, energy))
+    return sorted(whole, key=lambda pair: -pair[1])
+
+
+def _touch(a: Block, b: Block) -> Bool:
+    return a.channel == b.channel and a.regime == b.regime == "" and b.from_s <= a.to_s

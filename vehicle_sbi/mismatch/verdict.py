@@ -1,0 +1,219 @@
+"""The answer: as a typed value, as a sentence, and as the JSON that other tools read."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.stats import truncnorm
+
+from vehicle_sbi.mismatch.case import Case
+from vehicle_sbi.mismatch.explain import Explanation, Model
+from vehicle_sbi.mismatch.fit import Fit
+from vehicle_sbi.mismatch.improve import Gain, Prediction
+from vehicle_sbi.mismatch.locate import merged
+from vehicle_sbi.mismatch.separability import Card
+from vehicle_sbi.physics.effects import CATALOGUE
+
+SCHEMA = 1
+LISTED = 10  # explanations at most
+NAMED = 0.5  # probability from which a sentence states an explanation as the answer
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where simulation and recording differ, times [s] of the recordings one after another."""
+
+    channel: str
+    from_s: float
+    to_s: float
+    p_value: float
+    share_of_misfit: float
+    regime: str
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter's posterior, normal within its box."""
+
+    mean: float
+    std: float
+    q05: float
+    q95: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Named:
+    """A set of effects, how probable it is, and the size of its parameters."""
+
+    effects: tuple[str, ...]
+    probability: float
+    parameters: dict[str, Estimate]
+
+
+@dataclass(frozen=True)
+class Score:
+    """A model's prediction of what was held out."""
+
+    nrmse: dict[str, float]
+    log_score: float
+    coverage90: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the diagnosis says; its fields are those of verdict.json."""
+
+    schema: int
+    detected: bool
+    p_value: float
+    mismatch: list[Place]
+    explanations: list[Named]
+    p_none: float
+    p_unknown: float
+    indistinguishable: list[list[str]]
+    separating_experiment: str
+    fit: dict[str, object]
+    base_parameters: dict[str, object]
+    notes: list[str]
+    sentence: str
+
+    def as_json(self) -> dict[str, object]:
+        return asdict(self)
+
+
+def estimates(fit: Fit) -> dict[str, Estimate]:
+    """Posterior of every free parameter of a fit."""
+    space, std = fit.simulator.space, np.sqrt(np.diag(fit.covariance))
+    found = {}
+    for p, mean, s in zip(space.parameters, fit.theta, std, strict=True):
+        box = truncnorm((p.low - mean) / s, (p.high - mean) / s, loc=mean, scale=s)
+        low, high = box.ppf([0.05, 0.95])
+        found[p.name] = Estimate(float(box.mean()), float(box.std()), float(low), float(high), p.unit)
+    return found
+
+
+def places(explanation: Explanation) -> list[Place]:
+    """Blocks in which the base model leaves more than noise would, the largest first."""
+    scores, n = explanation.base.scores, len(explanation.base.directions)
+    z, p = scores.z[n:], scores.p_values[n:]
+    significant = np.flatnonzero(p < 0.05)
+    whole = merged([explanation.base.blocks[k] for k in significant], z[significant])
+    total = sum(energy for _, energy in whole)
+    smallest = {}
+    for k in significant:
+        block = explanation.base.blocks[k]
+        for place, _ in whole:
+            if (block.channel, block.regime) == (
+                place.channel,
+                place.regime,
+            ) and place.from_s <= block.from_s <= place.to_s:
+                smallest[place] = min(p[k], smallest.get(place, 1.0))
+    return [Place(b.channel, b.from_s, b.to_s, float(smallest[b]), energy / total, b.regime) for b, energy in whole]
+
+
+def _named(model: Model, probability: float) -> Named:
+    found = estimates(model.fit)
+    own = {name: value for name, value in found.items() if name.split(".")[0] in model.effects}
+    return Named(model.effects, probability, own)
+
+
+def verdict(
+    case: Case,
+    explanation: Explanation,
+    predictions: Mapping[str, Prediction],
+    gained: Gain | None,
+    seen: Card,
+) -> Verdict:
+    """Everything that the diagnosis found, put into the answer's form."""
+    model = chosen(explanation)
+    before, after = estimates(explanation.base.model.fit), estimates(model.fit)
+    together = explanation.indistinguishable() if explanation.detected else []
+    fit: dict[str, object] = {"heldout": list(case.held_out_names)}
+    fit |= {name: asdict(Score(p.nrmse, p.mean_log_score, p.coverage90)) for name, p in predictions.items()}
+    if gained is not None:
+        fit["gain_log_score"] = asdict(gained)
+    found = [_named(m, p) for m, p in zip(explanation.models[:LISTED], explanation.probability[:LISTED], strict=True)]
+    rest = sum(explanation.probability[LISTED:])
+    return Verdict(
+        schema=SCHEMA,
+        detected=explanation.detected,
+        p_value=explanation.p_value,
+        mismatch=places(explanation) if explanation.detected else [],
+        explanations=found,
+        p_none=explanation.p_none,
+        p_unknown=explanation.p_unknown + rest,
+        indistinguishable=[list(effects) for effects in together] if len(together) > 1 else [],
+        separating_experiment="",
+        fit=fit,
+        base_parameters={
+            name: {"before": _plain(before[name]), "after": _plain(after[name]), "unit": before[name].unit}
+            for name in before
+        },
+        notes=[*case.notes],
+        sentence=sentence(explanation, gained, together, seen),
+    )
+
+
+def _plain(estimate: Estimate) -> dict[str, float]:
+    return {"mean": estimate.mean, "std": estimate.std}
+
+
+def chosen(explanation: Explanation) -> Model:
+    """The model to go on with: the most probable set of effects, or the base model where nothing was detected."""
+    if not explanation.detected or not explanation.models:
+        return explanation.base.model
+    return explanation.models[0]
+
+
+def quantity(name: str, e: Estimate) -> str:
+    """`body_roll.gradient = 0.0081 ± 0.0004 rad/(m/s^2)`."""
+    digits = max(0, -int(np.floor(np.log10(max(e.std, 1e-12))))) if e.std < 10 else 0
+    return f"{name} = {e.mean:.{min(digits, 9)}f} ± {e.std:.{min(digits, 9)}f} {e.unit}".removesuffix(" 1")
+
+
+def sentence(explanation: Explanation, gained: Gain | None, together: Sequence[Sequence[str]], seen: Card) -> str:
+    """The diagnosis in a sentence or two, for people."""
+    if not explanation.detected:
+        return (
+            f"Nothing is missing as far as these recordings can tell (p = {explanation.p_value:.2g}): "
+            f"what is left over looks like noise. {_limits(seen)}"
+        )
+    where = places(explanation)
+    text = f"Simulation and recording differ (p = {explanation.p_value:.2g})"
+    if where:
+        text += f", most of all in {where[0].channel} {_when(where[0].regime, where[0].from_s, where[0].to_s)}"
+    best = explanation.models[0] if explanation.models else None
+    if best is None or explanation.p_unknown > max(explanation.probability):
+        text += "; no known effect explains it"
+        return text + (f" (closest: {_listed(best.effects)})." if best else ".")
+    own = {k: v for k, v in estimates(best.fit).items() if k.split(".")[0] in best.effects}
+    sizes = "; ".join(quantity(name, e) for name, e in own.items())
+    meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
+    text += f". {_listed(best.effects)} explain{'s' if len(best.effects) == 1 else ''} it"
+    text += f" with probability {explanation.probability[0]:.2f}: {meaning} ({sizes})."
+    others = [effects for effects in together if tuple(effects) != best.effects]
+    if others:
+        text += f" These recordings cannot tell it from {', or '.join(_listed(o) for o in others)}."
+    if gained is not None:
+        text += (
+            f" On held-out data the extended model gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample"
+            + ("." if gained.certain else ", which is not certain to be a gain.")
+        )
+    return text
+
+
+def _limits(seen: Card) -> str:
+    """What could not have been seen at all."""
+    hidden = [c.parameter.name for c in seen.candidates if not c.visible]
+    if len(hidden) == len(seen.candidates):
+        return "But they are too short or too gentle to show any known effect."
+    return f"They would have shown {len(seen.candidates) - len(hidden)} of {len(seen.candidates)} known effects."
+
+
+def _listed(effects: Sequence[str]) -> str:
+    return " with ".join(effects)
+
+
+def _when(regime: str, start: float, stop: float) -> str:
+    return f"where {regime}" if regime else f"from {start:.1f} to {stop:.1f} s"

@@ -1,0 +1,188 @@
+"""A diagnosis from recordings to what a user takes away: verdict.json, extended.yaml, pictures, one page."""
+
+import json
+import pickle
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from vehicle_sbi.files import write_atomically, write_text
+from vehicle_sbi.mismatch.case import Case
+from vehicle_sbi.mismatch.explain import Explanation, explain
+from vehicle_sbi.mismatch.fit import Fit, best
+from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
+from vehicle_sbi.mismatch.separability import Card, card
+from vehicle_sbi.mismatch.verdict import Verdict, chosen, quantity, verdict
+from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
+from vehicle_sbi.report.page import in_section, write_page
+from vehicle_sbi.report.run_folder import RunFolder
+from vehicle_sbi.report.tables import html
+from vehicle_sbi.rng import Stream, generator
+
+STARTS = 3  # of the fit of the base model
+Result = TypeVar("Result")
+
+
+def diagnose(folder: RunFolder, case: Case, *, seed: int) -> None:
+    """All stages, each kept on disk once it is done, then everything that is written for the user."""
+    rng = generator(seed=seed, stream=Stream.STUDY, index=2)
+    base = _kept(folder, "fit", lambda: fitted(case, rng))
+    seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta))
+    found = _kept(folder, "explanation", lambda: explain(case.observation, base, rng=rng))
+    with folder.stage("report"):
+        predictions, gained = compared(case, found)
+        answer = verdict(case, found, predictions, gained, seen)
+        write(folder, case, found, predictions, answer, seen)
+    folder.complete()
+
+
+def fitted(case: Case, rng: np.random.Generator) -> Fit:
+    """The base model's fit, from the middle of its prior and from points drawn inside it."""
+    space = case.observation.simulator.space
+    drawn = rng.uniform(space.low, space.high, (STARTS - 1, len(space)))
+    return best(case.observation, np.concatenate([(space.low + space.high)[None] / 2, drawn]))
+
+
+def compared(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gain | None]:
+    """How base and extended model predict what was held out, and what the latter gains."""
+    predictions = {"base": predict(found.base.model, case.held_out, apart=case.apart)}
+    model = chosen(found)
+    if not model.effects:
+        return predictions, None
+    predictions["extended"] = predict(model, case.held_out, apart=case.apart)
+    return predictions, gain(*predictions.values(), case.held_out.simulator.windows.rate)
+
+
+def _kept(folder: RunFolder, name: str, compute: Callable[[], Result]) -> Result:
+    """A stage's result, from its file where the stage is done."""
+    path = folder.path / "stages" / f"{name}.pkl"
+    if not path.exists():
+        with folder.stage(name):
+            result = compute()
+        write_atomically(path, lambda file: pickle.dump(result, file))
+    return pickle.loads(path.read_bytes())
+
+
+def write(
+    folder: RunFolder, case: Case, found: Explanation, predictions: dict[str, Prediction], answer: Verdict, seen: Card
+) -> None:
+    """Everything into the run folder."""
+    path = folder.path
+    write_text(path / "verdict.json", json.dumps(answer.as_json(), indent=2) + "\n")
+    write_text(path / "extended.yaml", extended(folder.manifest["config"], found))
+    figures = path / "figures"
+    figures.mkdir(exist_ok=True)
+    pictures = {
+        "Recorded less simulated, before and after; shaded where the base model misses": figures / "residuals.png",
+        "Probability of each explanation": figures / "probabilities.png",
+        "The base model's parameters before and after": figures / "shifts.png",
+        "Held-out recordings, predicted by both models": figures / "held_out.png",
+    }
+    residuals(found, answer, figures / "residuals.png")
+    probabilities(answer, figures / "probabilities.png")
+    shifts(answer, found.base.model.fit.simulator.space, figures / "shifts.png")
+    held_out_figure(case.held_out, predictions, figures / "held_out.png")
+    write_page(
+        path / "report.html",
+        title=f"Diagnosis of {case.name}",
+        sections={
+            "Answer": f"<p>{_escaped(answer.sentence)}</p>",
+            "Explanations": in_section(html(_explanations(answer))),
+            "Where": in_section(html(_places(answer))) if answer.mismatch else "<p>Nowhere beyond noise.</p>",
+            "Held out": in_section(html(_scores(answer))),
+            "What these recordings could have shown": in_section(html(_card(seen))),
+        },
+        notes=answer.notes,
+        figures=pictures,
+    )
+
+
+def _escaped(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def _explanations(answer: Verdict) -> pd.DataFrame:
+    rows = [
+        {
+            "explanation": " with ".join(one.effects),
+            "probability": f"{one.probability:.3f}",
+            "size": "; ".join(quantity(name, e) for name, e in one.parameters.items()),
+        }
+        for one in answer.explanations
+        if one.probability >= 0.001
+    ]
+    rows += [
+        {"explanation": "none", "probability": f"{answer.p_none:.3f}", "size": ""},
+        {"explanation": "unknown", "probability": f"{answer.p_unknown:.3f}", "size": ""},
+    ]
+    return pd.DataFrame(rows)
+
+
+def _places(answer: Verdict) -> pd.DataFrame:
+    return pd.DataFrame(
+        {
+            "channel": [p.channel for p in answer.mismatch],
+            "from [s]": [f"{p.from_s:.1f}" for p in answer.mismatch],
+            "to [s]": [f"{p.to_s:.1f}" for p in answer.mismatch],
+            "regime": [p.regime or "any" for p in answer.mismatch],
+            "p": [f"{p.p_value:.2g}" for p in answer.mismatch],
+            "share": [f"{p.share_of_misfit:.0%}" for p in answer.mismatch],
+        }
+    )
+
+
+def _scores(answer: Verdict) -> pd.DataFrame:
+    rows = []
+    for name in ("base", "extended"):
+        score: Any = answer.fit.get(name)
+        if score is not None:
+            errors = {f"NRMSE {channel}": f"{value:.3f}" for channel, value in score["nrmse"].items()}
+            rows.append(
+                {
+                    "model": name,
+                    **errors,
+                    "log score": f"{score['log_score']:.3f}",
+                    "in 90 % band": f"{score['coverage90']:.0%}",
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def _card(seen: Card) -> pd.DataFrame:
+    return pd.DataFrame(
+        {
+            "effect": [c.parameter.name for c in seen.candidates],
+            "unit": [c.parameter.unit for c in seen.candidates],
+            "shows from": [f"{c.size:.2g}" if c.visible else "not here" for c in seen.candidates],
+            "left by the fit": [f"{c.retained:.0%}" for c in seen.candidates],
+        }
+    )
+
+
+def extended(config: dict[str, Any], found: Explanation) -> str:
+    """A configuration of scripts/run.py for the extended model, its parameters free in the boxes that were searched."""
+    model = chosen(found)
+    space = model.fit.simulator.space
+    prior: dict[str, Any] = {}
+    for p in space.parameters:
+        effect, _, parameter = p.name.rpartition(".")
+        (prior.setdefault(effect, {}) if effect else prior)[parameter] = [float(p.low), float(p.high)]
+    head = (
+        "# @package _global_\n"
+        "# The extended model: copy to conf/experiment/NAME.yaml, then python scripts/run.py experiment=NAME\n"
+    )
+    return head + yaml.safe_dump({"effects": list(model.effects), "prior": prior}, sort_keys=False)
+
+
+def show(folder: RunFolder) -> None:
+    """Print the sentence of a finished diagnosis, and the paths of what it wrote."""
+    answer = json.loads((folder.path / "verdict.json").read_text())
+    print(answer["sentence"])
+    if answer["separating_experiment"]:
+        print(answer["separating_experiment"])
+    print()
+    for name in ("verdict.json", "extended.yaml", "report.html"):
+        print(folder.path / name)
