@@ -24,6 +24,9 @@ V_Y_LEVER, SIDESLIP = 1.5, 0.1
 """Where v_y is not recorded it may be wrong by 1.5 m times the yaw rate (about the rear axle's distance), at most by
 0.1 rad times v_x; both root mean squares over the recording."""
 
+MOST_HELD = 20
+"""Samples for which a held signal usually stays, at most: one that stays for longer is at rest."""
+
 YAW_RATE_UNKNOWN = 0.2
 """Standard deviation [rad/s] of an initial yaw rate that nothing in the recording tells."""
 
@@ -289,6 +292,7 @@ class Recording:
             inputs["steering"] = self.channels["steering_wheel"] / steering_ratio
         else:
             inputs["steering"] = self._need("steering", why)[0]
+        inputs["steering"] = unheld(inputs["steering"])
         return inputs
 
     def _measured(self, name: str, drive: str) -> tuple[Float[np.ndarray, " time"], Bool[np.ndarray, " time"]]:
@@ -359,6 +363,30 @@ def smoothed(
         raise InputError(f"{where}: {len(known)} samples at {rate:g} Hz are too few; at least {length} are needed")
     bridged = np.interp(np.arange(len(values)), known, values[known])
     return np.asarray(savgol_filter(bridged, length, 2, deriv=derivative, delta=1.0 / rate))
+
+
+def unheld(values: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
+    """A signal that is updated more slowly than it is sampled, linear between its updates instead of in steps.
+
+    Steps that the car did not make would excite the model. A signal counts as held if it usually stays for two samples
+    or more while it moves; where it rests for longer than that it stays at rest until the last usual step. Absent
+    samples remain absent, and any other signal as it is.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < 3:
+        return values
+    x = values[known]
+    updates = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1])
+    if len(updates) < MOST_HELD:
+        return values
+    usual = int(np.median(np.diff(updates)))
+    if not 2 <= usual <= MOST_HELD:
+        return values
+    rests = updates[1:][np.diff(updates) > 2 * usual] - usual  # until when a long rest lasts
+    knots = np.union1d(np.union1d(updates, rests), [len(x) - 1])
+    smooth = values.copy()
+    smooth[known] = np.interp(np.arange(len(x)), knots, x[knots])
+    return smooth
 
 
 def _rms(values: Float[np.ndarray, " time"]) -> float:
