@@ -16,7 +16,7 @@ inference.prior inference.simulator inference.information inference.setup infere
 inference.estimator inference.training inference.proposal inference.rounds inference.predictive inference.study
 inference.calibration
 mismatch.candidates mismatch.separability mismatch.fit mismatch.case mismatch.locate mismatch.detect mismatch.explain
-mismatch.improve mismatch.verdict
+mismatch.experiment mismatch.improve mismatch.verdict
 report.run_folder report.tables report.density report.figures report.mismatch_figures report.catalogue report.page
 report.results report.diagnosis
 report.observability report.autoware

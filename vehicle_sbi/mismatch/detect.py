@@ -1,50 +1,58 @@
-"""Is there a mismatch at all: the residual against every direction that could explain it, with one null for all.
+"""Is there a mismatch at all: every direction that could explain the residual, with one null for all.
 
-At a fit, with J what the fitted parameters do and g what a direction does, both whitened and with initial states
-marginalised (`fit.Metric`), and r the residual,
+At a fit, with J what its parameters and initial states do, g what a direction does and r the residual, all at first
+order, the noise of each channel an AR(1) process,
 
-    M = I - J' (J J' + I)^-1 J,    b = g M r,    i = g M g',    z = b / sqrt(i)
+    l(k) = max over beta, a, rho, S of  - 1/2 sum_c N_c log S_c - 1/2 |beta|^2,
+           N_c S_c = sum_t (e_t - rho_c e_(t-1))^2,   e = r - J beta - a g_k
 
-z is the directed score of the direction, b / i its size at first order. Under the fitted model r is standard normal
-noise that has been fitted too, so the null of the largest |z| of any set, with all correlations, comes from noise that
-is drawn, fitted (by the same M) and scored. A size that lies outside the prior explains nothing and scores zero.
+is how likely the recording is with a little of direction k (its size a within the prior) under the noise that is then
+left over, and z_k = sign(a) sqrt(2 (l(k) - l(none))) its directed score. The noise has to be estimated with and without
+the direction: under the base model's alone a mismatch counts as slow noise that excuses itself.
+
+Under the fitted model scores are standard normal, correlated as the directions are after what the fit absorbs. So the
+null of the largest of any set comes from noise that is drawn, fitted and scored.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import log_ndtr
 
-from vehicle_sbi.data.noise import MeasurementNoise
+from vehicle_sbi.data.noise import LARGEST_RHO
 from vehicle_sbi.mismatch.fit import Fit
 
 DRAWS = 1000  # of noise, behind a p-value
-BEYOND = 1.2  # times its prior's reach that a first-order size may have: larger effects are seldom linear
+ITERATIONS = 6  # of sizes and noise, in turn
+LEAST_VARIANCE = 1e-18
+
+Products = Float[np.ndarray, "3 channels i j"]
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Directions projected off what the fit absorbs: GM (k, samples), b (k,), i (k,), and the sizes allowed.
+    """Directions at first order: likelihood gained, size, the information about it, the sizes that the prior allows.
 
     `null` (draws, k) are the scores of drawn noise.
     """
 
-    b: Float[np.ndarray, " k"]
+    gain: Float[np.ndarray, " k"]
+    size: Float[np.ndarray, " k"]
     information: Float[np.ndarray, " k"]
     low: Float[np.ndarray, " k"]
     high: Float[np.ndarray, " k"]
-    cross: Float[np.ndarray, "k k"]
     null: Float[np.ndarray, "draws k"]
 
     @property
     def z(self) -> Float[np.ndarray, " k"]:
-        return _scores(self.b, self.information, self.low, self.high)
+        return np.sign(self.size) * np.sqrt(2.0 * self.gain)
 
     @property
     def p_values(self) -> Float[np.ndarray, " k"]:
         """Of each direction, for the largest of all: how often noise alone scores as high anywhere."""
-        highest = np.abs(self.null).max(axis=1)
+        highest = self.null.max(axis=1, initial=0.0)
         return (1.0 + (highest[:, None] >= np.abs(self.z)).sum(axis=0)) / (len(highest) + 1.0)
 
     @property
@@ -54,10 +62,9 @@ class Scores:
     @property
     def log_evidence(self) -> Float[np.ndarray, " k"]:
         """Log Bayes factor of each direction at first order against none, its size uniform over the prior."""
-        std = 1.0 / np.sqrt(self.information)
-        top, bottom = (self.high - self.b / self.information) / std, (self.low - self.b / self.information) / std
-        mass = _log_mass(bottom, top)
-        return 0.5 * self.b**2 / self.information + mass + np.log(np.sqrt(2 * np.pi) * std / (self.high - self.low))
+        std, width = self.information**-0.5, self.high - self.low
+        mass = _log_mass((self.low - self.size) / std, (self.high - self.size) / std)
+        return self.gain + mass + 0.5 * np.log(2 * np.pi) + np.log(std) - np.log(width)
 
 
 def _log_mass(low: Float[np.ndarray, " k"], high: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
@@ -67,10 +74,101 @@ def _log_mass(low: Float[np.ndarray, " k"], high: Float[np.ndarray, " k"]) -> Fl
     return log_ndtr(b) + np.log1p(-np.exp(np.minimum(log_ndtr(a) - log_ndtr(b), -1e-12)))
 
 
-def _scores(b: np.ndarray, information: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    size = b / information
-    allowed = (size >= BEYOND * low) & (size <= BEYOND * high)
-    return np.where(allowed, b / np.sqrt(information), 0.0)
+@dataclass(frozen=True)
+class Linearised:
+    """A fit at first order: residual, what parameters and initial states do (m, channels, time), and the neighbouring
+    valid samples of each channel."""
+
+    fit: Fit
+    J: Float[np.ndarray, "m channels time"]
+    residual: Float[np.ndarray, "1 channels time"]
+    pairs: Sequence[np.ndarray]
+
+    @classmethod
+    def of(cls, fit: Fit) -> "Linearised":
+        windows, length = fit.simulator.windows, fit.simulator.noise.window
+        states = np.zeros((len(windows.x0), *fit.at.J_x.shape))
+        for w in range(len(windows.x0)):
+            span = slice(w * length, (w + 1) * length)
+            states[w, ..., span] = fit.at.J_x[..., span]
+        states = states.reshape(-1, *fit.at.y.shape)
+        same = np.arange(1, windows.valid.shape[1]) % length > 0
+        pairs = [1 + np.flatnonzero(valid[1:] & valid[:-1] & same) for valid in windows.valid]
+        J = np.concatenate([fit.at.J[fit.inside], states])
+        return cls(fit, np.nan_to_num(J), fit.residual[None], pairs)
+
+    def products(self, x: Float[np.ndarray, "i channels time"], y: Float[np.ndarray, "j channels time"]) -> Products:
+        """Sums over neighbouring samples of x y now, x y a sample earlier, and across (symmetric)."""
+        out = np.empty((3, x.shape[1], len(x), len(y)))
+        for c, now in enumerate(self.pairs):
+            a, b, before_a, before_b = x[:, c, now], y[:, c, now], x[:, c, now - 1], y[:, c, now - 1]
+            out[:, c] = a @ b.T, before_a @ before_b.T, 0.5 * (a @ before_b.T + before_a @ b.T)
+        return out
+
+
+@dataclass(frozen=True)
+class Profiled:
+    """Sizes of directions at their likeliest, the log likelihood there and the information about them."""
+
+    size: Float[np.ndarray, "k q"]
+    log_likelihood: Float[np.ndarray, " k"]
+    information: Float[np.ndarray, "k q q"]
+
+
+def profile(
+    about: Linearised, changes: Float[np.ndarray, "k q channels time"], low: np.ndarray, high: np.ndarray
+) -> Profiled:
+    """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best."""
+    k, q, channels, time = changes.shape
+    m, flat = len(about.J), np.nan_to_num(changes).reshape(k * q, channels, time)
+    JJ, Jr, rr = (
+        about.products(*pair) for pair in ((about.J, about.J), (about.J, about.residual), (about.residual,) * 2)
+    )
+    Jg = about.products(about.J, flat).reshape(3, channels, m, k, q).transpose(0, 1, 3, 2, 4)
+    gr = about.products(flat, about.residual).reshape(3, channels, k, q)
+    gg = (
+        np.stack([about.products(g, g) for g in np.nan_to_num(changes)], axis=2)
+        if q
+        else np.zeros((3, channels, k, 0, 0))
+    )
+    H = np.empty((3, channels, k, m + q, m + q))
+    H[..., :m, :m], H[..., m:, m:] = JJ[:, :, None], gg
+    H[..., :m, m:], H[..., m:, :m] = Jg, np.swapaxes(Jg, -1, -2)
+    b = np.concatenate([np.broadcast_to(Jr[:, :, None, :, 0], (3, channels, k, m)), gr], axis=-1)
+    count = np.array([max(len(pair), 1) for pair in about.pairs])
+    prior = np.diag(np.concatenate([np.ones(m), np.zeros(q)]))
+    x = np.zeros((k, m + q))
+    for _ in range(ITERATIONS):
+        rho, S = _noise(H, b, rr[..., 0, 0], x, count)
+        weight = np.stack([np.ones_like(rho), rho**2, -2.0 * rho]) / S
+        A = np.einsum("tck,tckij->kij", weight, H) + prior
+        g = np.einsum("tck,tcki->ki", weight, b)
+        x = _bounded(A, g, low, high, m)
+    rho, S = _noise(H, b, rr[..., 0, 0], x, count)
+    log_likelihood = -0.5 * (count[:, None] * np.log(S)).sum(axis=0) - 0.5 * np.sum(x[:, :m] ** 2, axis=1)
+    cross = A[:, m:, :m]
+    return Profiled(
+        x[:, m:], log_likelihood, A[:, m:, m:] - cross @ np.linalg.solve(A[:, :m, :m], np.swapaxes(cross, 1, 2))
+    )
+
+
+def _noise(
+    H: np.ndarray, b: np.ndarray, rr: np.ndarray, x: np.ndarray, count: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Correlation and innovation variance (channels, k) of what is left over at x (k, m + q)."""
+    left = rr[..., None] - 2.0 * np.einsum("tcki,ki->tck", b, x) + np.einsum("tckij,ki,kj->tck", H, x, x)
+    now, before, across = left
+    rho = np.clip(across / np.maximum(before, LEAST_VARIANCE), 0.0, LARGEST_RHO)
+    return rho, np.maximum((now - 2.0 * rho * across + rho**2 * before) / count[:, None], LEAST_VARIANCE)
+
+
+def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m: int) -> np.ndarray:
+    """Solutions of A x = g whose last entries lie within their bounds, the others at their best given those."""
+    A = A + 1e-12 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(A.shape[1])
+    x = np.linalg.solve(A, g[..., None])[..., 0]
+    size = np.clip(x[:, m:], low, high)
+    rest = g[:, :m] - np.einsum("kij,kj->ki", A[:, :m, m:], size)
+    return np.concatenate([np.linalg.solve(A[:, :m, :m], rest[..., None])[..., 0], size], axis=1)
 
 
 def score(
@@ -83,18 +181,26 @@ def score(
     draws: int = DRAWS,
 ) -> Scores:
     """Scores of `changes` (per unit of a size that the prior bounds between low and high) at a fit."""
+    about = Linearised.of(fit)
+    none = profile(about, changes[:1, None][:, :0], np.zeros((1, 0)), np.zeros((1, 0)))
+    each = profile(about, changes[:, None], low[:, None], high[:, None])
+    gain = np.maximum(each.log_likelihood - none.log_likelihood, 0.0)
+    information = np.maximum(each.information[:, 0, 0], 1e-12)
+    return Scores(gain, each.size[:, 0], information, low, high, _null(fit, changes, low, high, rng, draws))
+
+
+def _null(
+    fit: Fit, changes: np.ndarray, low: np.ndarray, high: np.ndarray, rng: np.random.Generator, draws: int
+) -> Float[np.ndarray, "draws k"]:
+    """Absolute scores of drawn noise after the fit has absorbed what it can."""
     metric, free = fit.metric, fit.inside
     J = metric(fit.at.J)[free].reshape(int(free.sum()), -1)
-    G, r = metric(changes).reshape(len(changes), -1), metric(fit.residual).reshape(-1)
-    weights = np.linalg.solve(J @ J.T + np.eye(len(J)), J)
-    GM = (G - (G @ J.T) @ weights).astype(np.float32)
+    G = metric(changes).reshape(len(changes), -1)
+    GM = (G - (G @ J.T) @ np.linalg.solve(J @ J.T + np.eye(len(J)), J)).astype(np.float32)
     information = np.maximum(np.einsum("kt,kt->k", GM, G), 1e-12)
     noise = rng.standard_normal((draws, GM.shape[1]), dtype=np.float32)
     noise *= metric.valid.reshape(-1)
-    null = _scores((noise @ GM.T).astype(float), information, low, high)
-    return Scores(GM @ r, information, low, high, GM @ G.T, null)
-
-
-def relative_noise(of: MeasurementNoise, to: MeasurementNoise) -> Float[np.ndarray, " channels"]:
-    """Innovation's standard deviation of each channel in one noise over that in another."""
-    return of.floor * np.sqrt(1 - of.rho**2) / (to.floor * np.sqrt(1 - to.rho**2))
+    z = (noise @ GM.T).astype(float) / np.sqrt(information)
+    std = np.sqrt(information)
+    size = np.clip(z, low * std, high * std)  # in standard deviations
+    return np.sqrt(np.maximum(z**2 - (z - size) ** 2, 0.0))

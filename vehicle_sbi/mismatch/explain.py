@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.special import logsumexp
 
 from vehicle_sbi.mismatch.candidates import Direction, left_out, null, shapes, slopes, within
-from vehicle_sbi.mismatch.detect import Scores, score
+from vehicle_sbi.mismatch.detect import Linearised, Scores, profile, score
 from vehicle_sbi.mismatch.fit import Fit, Observation, descend, with_own_noise
 from vehicle_sbi.mismatch.locate import Block, blocks
 from vehicle_sbi.parameters import Parameter, ParameterSpace
@@ -30,7 +30,6 @@ SURPRISE = 0.2  # exponent of the density of p-values under something unknown, S
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
 SLACK = 5.0  # log evidence by which the first order may be off
-NEVER = -1e9
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,19 @@ class Model:
 
 
 @dataclass(frozen=True)
+class Joint:
+    """All directions of one effect together, each in its best shape: rows of the directions, sizes, log evidence."""
+
+    rows: list[int]
+    size: Float[np.ndarray, " q"]
+    gain: float
+    log_evidence: float
+
+
+@dataclass(frozen=True)
 class Examined:
-    """A model with everything that it leaves out: directions and blocks, their scores, and the p-value of the largest.
+    """A model with everything that it leaves out: directions and blocks, their scores, and effects that have several
+    directions with all of them.
 
     Scores are in the order directions, then blocks.
     """
@@ -57,14 +67,26 @@ class Examined:
     directions: list[Direction]
     blocks: list[Block]
     scores: Scores
+    joint: dict[str, Joint]
 
     @property
     def p_value(self) -> float:
         """How often noise alone would leave as much over, beyond what no model gets right."""
         z = np.abs(self.scores.z).max(initial=0.0)
         z /= np.sqrt(1.0 + (TOLERANCE * self.model.explained) ** 2)
-        highest = np.abs(self.scores.null).max(axis=1)
+        highest = self.scores.null.max(axis=1)
         return float((1.0 + (highest >= z).sum()) / (len(highest) + 1.0))
+
+    @property
+    def share_explained(self) -> float:
+        """Of the squared score of everything that was found, what the model explains."""
+        left = float(np.abs(self.scores.z).max(initial=0.0)) if self.scores.p_value < LEVEL else 0.0
+        return self.model.explained**2 / max(self.model.explained**2 + left**2, 1e-12)
+
+    @property
+    def largest_block(self) -> Block:
+        """Where most is left over."""
+        return self.blocks[int(np.argmax(np.abs(self.scores.z[len(self.directions) :])))]
 
 
 @dataclass(frozen=True)
@@ -86,51 +108,63 @@ def examine(model: Model, rng: np.random.Generator) -> Examined:
     far = np.full(len(places), np.inf)
     low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
     scores = score(model.fit, changes, np.concatenate([low, -far]), np.concatenate([high, far]), rng=rng)
-    return Examined(model, found, places, scores)
+    return Examined(model, found, places, scores, _joint(model, found, changes, scores))
+
+
+def _by_effect(found: Sequence[Direction]) -> dict[str, dict[str, list[int]]]:
+    """Rows of the directions of each effect and of each of its parameters."""
+    rows: dict[str, dict[str, list[int]]] = {}
+    for k, direction in enumerate(found):
+        rows.setdefault(direction.effect, {}).setdefault(direction.parameter.name, []).append(k)
+    return rows
+
+
+def _joint(
+    model: Model, found: Sequence[Direction], changes: Float[np.ndarray, "k channels time"], scores: Scores
+) -> dict[str, Joint]:
+    """Effects with several directions: all of them at once, under normal priors as wide as their boxes."""
+    about = Linearised.of(model.fit)
+    nothing = np.zeros((1, 0))
+    base = profile(about, changes[:1, None][:, :0], nothing, nothing).log_likelihood[0]
+    together = {}
+    for effect, by_parameter in _by_effect(found).items():
+        if len(by_parameter) < 2:
+            continue
+        rows = [ks[int(np.argmax(scores.gain[ks]))] for ks in by_parameter.values()]
+        low, high = (np.array([[getattr(found[k], end) for k in rows]]) for end in ("low", "high"))
+        best = profile(about, changes[rows][None], low, high)
+        gain = float(best.log_likelihood[0] - base)
+        _, log_det = np.linalg.slogdet(np.eye(len(rows)) + best.information[0] * (high - low)[0] ** 2 / 12.0)
+        together[effect] = Joint(rows, best.size[0], gain, gain - 0.5 * float(log_det))
+    return together
 
 
 def versions(examined: Examined) -> list[Version]:
     """The best way in which each effect may act, the most promising effect first."""
-    by_effect: dict[str, dict[str, list[int]]] = {}
-    for k, direction in enumerate(examined.directions):
-        by_effect.setdefault(direction.effect, {}).setdefault(direction.parameter.name, []).append(k)
-    found = [_version(examined, name, list(rows.values())) for name, rows in by_effect.items()]
+    found = [_version(examined, name, list(rows.values())) for name, rows in _by_effect(examined.directions).items()]
     return sorted(found, key=lambda version: -version.log_evidence)
 
 
 def _version(examined: Examined, effect: str, rows: Sequence[list[int]]) -> Version:
     """The likeliest of: one of the effect's parameters alone (averaged over its shapes), or all of them together."""
     scores = examined.scores
-    with np.errstate(invalid="ignore"):
-        evidence = np.nan_to_num(scores.log_evidence[: len(examined.directions)], nan=NEVER, neginf=NEVER)
+    evidence = scores.log_evidence
     singles = [float(logsumexp(evidence[ks]) - np.log(len(ks))) for ks in rows]
     leading = [ks[int(np.argmax(evidence[ks]))] for ks in rows]
-    joint = _jointly(examined, leading) if len(leading) > 1 else NEVER
-    chosen = leading if joint > max(singles) else [leading[int(np.argmax(singles))]]
-    sizes = np.linalg.solve(scores.cross[np.ix_(chosen, chosen)] + _precision(examined, chosen), scores.b[chosen])
-    start: dict[Parameter, float] = {}
-    for k in chosen:
-        d = examined.directions[k]
-        start |= {p: value for p, value in d.held.items() if len(chosen) == 1 or p not in start}
-    for k, size in zip(chosen, sizes, strict=True):
-        d = examined.directions[k]
+    joint = examined.joint.get(effect)
+    if joint is not None and joint.log_evidence > max(singles):
+        return Version(effect, _start(examined, joint.rows, joint.size), joint.log_evidence, np.sqrt(2 * joint.gain))
+    k = leading[int(np.argmax(singles))]
+    return Version(effect, _start(examined, [k], scores.size[[k]]), max(singles), float(np.abs(scores.z[k])))
+
+
+def _start(examined: Examined, rows: list[int], sizes: Float[np.ndarray, " q"]) -> dict[Parameter, float]:
+    """Where to start fitting: shapes as they were tried, sizes as they came out, off the rim of their boxes."""
+    chosen = [examined.directions[k] for k in rows]
+    start = {p: value for d in chosen for p, value in d.held.items()}
+    for d, size in zip(chosen, sizes, strict=True):
         start[d.parameter] = null(d.parameter) + float(np.clip(size, 0.98 * d.low, 0.98 * d.high))
-    z = float(np.sqrt(max(scores.b[chosen] @ sizes, 0.0)))
-    return Version(effect, start, max(joint, *singles), z)
-
-
-def _precision(examined: Examined, rows: list[int]) -> Float[np.ndarray, "q q"]:
-    """Of normal priors as wide as the boxes of some directions."""
-    width = np.array([examined.directions[k].high - examined.directions[k].low for k in rows])
-    return np.diag(12.0 / width**2)
-
-
-def _jointly(examined: Examined, rows: list[int]) -> float:
-    """Log Bayes factor of several directions together against none, at first order under normal priors."""
-    H, P = examined.scores.cross[np.ix_(rows, rows)].astype(float), _precision(examined, rows)
-    b = examined.scores.b[rows].astype(float)
-    _, log_det = np.linalg.slogdet(np.eye(len(rows)) + np.linalg.solve(P, H))
-    return float(0.5 * b @ np.linalg.solve(H + P, b) - 0.5 * log_det)
+    return start
 
 
 def extended(model: Model, version: Version) -> Model | None:

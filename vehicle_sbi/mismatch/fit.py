@@ -127,14 +127,15 @@ class Metric:
 
 
 def _by_window(series: Float[np.ndarray, "k channels time"], window: int) -> Float[np.ndarray, "windows k samples"]:
-    k, channels, _ = series.shape
-    return series.reshape(k, channels, -1, window).transpose(2, 0, 1, 3).reshape(-1, k, channels * window)
+    k, channels, time = series.shape
+    count = time // window
+    return series.reshape(k, channels, count, window).transpose(2, 0, 1, 3).reshape(count, k, channels * window)
 
 
 def _by_channel(windows: Float[np.ndarray, "windows k samples"], channels: int) -> Float[np.ndarray, "k channels time"]:
     count, k, samples = windows.shape
     split = windows.reshape(count, k, channels, samples // channels)
-    return split.transpose(1, 2, 0, 3).reshape(k, channels, -1)
+    return split.transpose(1, 2, 0, 3).reshape(k, channels, count * (samples // channels))
 
 
 @dataclass(frozen=True)

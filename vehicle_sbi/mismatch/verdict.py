@@ -7,6 +7,7 @@ import numpy as np
 from scipy.stats import truncnorm
 
 from vehicle_sbi.mismatch.case import Case
+from vehicle_sbi.mismatch.experiment import advice
 from vehicle_sbi.mismatch.explain import Explanation, Model
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.improve import Gain, Prediction
@@ -144,7 +145,7 @@ def verdict(
         p_none=explanation.p_none,
         p_unknown=explanation.p_unknown + rest,
         indistinguishable=[list(effects) for effects in together] if len(together) > 1 else [],
-        separating_experiment="",
+        separating_experiment=_advice(explanation, together),
         fit=fit,
         base_parameters={
             name: {"before": _plain(before[name]), "after": _plain(after[name]), "unit": before[name].unit}
@@ -153,6 +154,11 @@ def verdict(
         notes=[*case.notes],
         sentence=sentence(explanation, gained, together, seen),
     )
+
+
+def _advice(explanation: Explanation, together: Sequence[tuple[str, ...]]) -> str:
+    """The experiment that separates the two most probable explanations, where they are hard to tell apart."""
+    return advice(*explanation.models[:2]) if len(together) > 1 else ""
 
 
 def _plain(estimate: Estimate) -> dict[str, float]:
@@ -184,14 +190,20 @@ def sentence(explanation: Explanation, gained: Gain | None, together: Sequence[S
     if where:
         text += f", most of all in {where[0].channel} {_when(where[0].regime, where[0].from_s, where[0].to_s)}"
     best = explanation.models[0] if explanation.models else None
-    if best is None or explanation.p_unknown > max(explanation.probability):
-        text += "; no known effect explains it"
-        return text + (f" (closest: {_listed(best.effects)})." if best else ".")
+    if best is None:
+        return f"{text}; no known effect explains any of it."
     own = {k: v for k, v in estimates(best.fit).items() if k.split(".")[0] in best.effects}
     sizes = "; ".join(quantity(name, e) for name, e in own.items())
     meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
-    text += f". {_listed(best.effects)} explain{'s' if len(best.effects) == 1 else ''} it"
-    text += f" with probability {explanation.probability[0]:.2f}: {meaning} ({sizes})."
+    verb = "explains" if len(best.effects) == 1 else "explain"
+    if explanation.p_unknown > sum(explanation.probability):
+        text += f"; no known effect explains all of it. {_listed(best.effects)} {verb}"
+        text += f" {explanation.best.share_explained:.0%} at most, and something unknown remains"
+        left = explanation.best.largest_block
+        text += f" in {left.channel} {_when(left.regime, left.from_s, left.to_s)}: {meaning} ({sizes})."
+    else:
+        text += f". {_listed(best.effects)} {verb} it with probability {explanation.probability[0]:.2f}: "
+        text += f"{meaning} ({sizes})."
     others = [effects for effects in together if tuple(effects) != best.effects]
     if others:
         text += f" These recordings cannot tell it from {', or '.join(_listed(o) for o in others)}."

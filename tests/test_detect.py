@@ -1,0 +1,57 @@
+"""Scores are sizes over their standard deviations, evidences are integrals, and p-values are uniform under the null."""
+
+import numpy as np
+import pytest
+from recorded import fitted, lateral, recorded
+from scipy.integrate import quad
+from scipy.stats import kstest
+
+from vehicle_sbi.mismatch.candidates import directions, slopes
+from vehicle_sbi.mismatch.detect import Scores, score
+from vehicle_sbi.physics.effects import CATALOGUE
+
+
+def scores(b: float, information: float, low: float, high: float) -> Scores:
+    """Of a direction whose log likelihood is b a - information a^2 / 2."""
+    size = np.clip(b / information, low, high)
+    gain = max(b * size - 0.5 * information * size**2, 0.0)
+    one = [np.array([value]) for value in (gain, size, information, low, high)]
+    return Scores(*one, null=np.zeros((1, 1)))
+
+
+@pytest.mark.parametrize(("b", "information", "low", "high"), [(3.0, 40.0, -1.0, 1.0), (9.0, 40.0, 0.0, 2.0)])
+def test_the_evidence_is_the_integral_over_the_prior(b: float, information: float, low: float, high: float) -> None:
+    integral, _ = quad(lambda a: np.exp(b * a - 0.5 * information * a**2), low, high, epsabs=0, epsrel=1e-10)
+    expected = np.log(integral / (high - low))
+    assert scores(b, information, low, high).log_evidence[0] == pytest.approx(expected, rel=1e-8)
+
+
+def test_a_size_of_the_wrong_sign_explains_nothing() -> None:
+    assert scores(-9.0, 4.0, 0.0, 2.0).z[0] == 0.0
+    assert scores(-9.0, 4.0, -3.0, 2.0).z[0] == pytest.approx(-4.5)
+
+
+def test_the_size_of_a_bias_comes_out_as_it_went_in() -> None:
+    # Linear in the data: off by the noise alone, whose standard deviation is 1 / sqrt(information); four of it.
+    fit = fitted(recorded(lateral(), accelerometer_bias__x=0.2))
+    found = directions(fit.simulator, fit.theta, CATALOGUE["accelerometer_bias"])
+    low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
+    s = score(fit, slopes(fit.simulator, fit.theta, found), low, high, rng=np.random.default_rng(0), draws=200)
+    assert s.size[0] == pytest.approx(0.2, abs=4 / np.sqrt(s.information[0]))
+    assert s.p_value == pytest.approx(1 / 201)
+
+
+def test_p_values_are_uniform_where_nothing_is_missing() -> None:
+    # 60 recordings; noise and parameters are fitted to each. A Kolmogorov-Smirnov test at 0.1 % keeps chance out.
+    sim, found = lateral(seconds=5.0), []
+    p = []
+    for seed in range(60):
+        fit = fitted(recorded(sim, seed=seed))
+        found = found or [
+            d for name in ("gyro_bias", "accelerometer_bias", "yaw_inertia", "steering_offset")
+            for d in directions(fit.simulator, fit.theta, CATALOGUE[name])
+        ]  # fmt: skip
+        low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
+        changes = slopes(fit.simulator, fit.theta, found)
+        p.append(score(fit, changes, low, high, rng=np.random.default_rng(seed), draws=300).p_value)
+    assert kstest(p, "uniform").pvalue > 1e-3

@@ -1,0 +1,98 @@
+"""The metric is the exact covariance of noise and initial states; fits end where they must."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import TRUTH, fitted, lateral, recorded
+from scipy.stats import multivariate_normal
+
+from vehicle_sbi.inference.information import sensitivity
+from vehicle_sbi.mismatch.fit import Fit, Metric, Observation, best, linearise, with_own_noise
+
+
+def short(rho: float):
+    sim = lateral(rho=rho, seconds=0.6, known_start=False)
+    valid = np.ones((3, 30), dtype=bool)
+    valid[1, 7:9] = valid[0, 0] = False
+    return replace(sim, windows=replace(sim.windows, valid=valid))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.7])
+def test_the_likelihood_is_that_of_the_dense_covariance(rho: float) -> None:
+    # Noise of an AR(1) process on each channel, rank-two initial states on all, two samples in a gap.
+    sim = short(rho)
+    at = linearise(sim, TRUTH)
+    metric = Metric.of(sim, at)
+    lag = np.abs(np.subtract.outer(np.arange(30), np.arange(30)))
+    noise = np.zeros((3, 30, 3, 30))
+    for c, floor in enumerate(sim.noise.floor):
+        noise[c, :, c] = floor**2 * float(rho) ** lag if rho else floor**2 * np.eye(30)
+    J = at.J_x.reshape(len(at.J_x), -1)
+    keep = sim.windows.valid.reshape(-1)
+    covariance = (noise.reshape(90, 90) + J.T @ J)[np.ix_(keep, keep)]
+    residual = np.random.default_rng(1).normal(0.0, 0.1, (3, 30))
+    dense = multivariate_normal(cov=covariance).logpdf(residual.reshape(-1)[keep])
+    constant = 0.5 * keep.sum() * np.log(2 * np.pi)
+    masked = np.where(sim.windows.valid, residual, 0.0)
+    assert metric.log_likelihood(masked) == pytest.approx(dense + constant, rel=1e-9)
+
+
+def test_the_likeliest_initial_states_are_those_of_the_dense_problem() -> None:
+    sim = short(0.0)
+    at = linearise(sim, TRUTH)
+    residual = np.where(sim.windows.valid, np.random.default_rng(2).normal(0.0, 0.1, (3, 30)), 0.0)
+    white = np.where(sim.windows.valid, at.J_x / sim.noise.floor[:, None], 0.0).reshape(len(at.J_x), -1)
+    target = (residual / sim.noise.floor[:, None]).reshape(-1)
+    x = np.linalg.solve(white @ white.T + np.eye(len(white)), white @ target)
+    expected = np.einsum("k,kct->ct", x, at.J_x)
+    np.testing.assert_allclose(Metric.of(sim, at).states(residual, at), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_one_difference_moves_the_initial_states_of_all_windows() -> None:
+    # Against one central difference a window; one-sided ones are off by half a step's curvature.
+    sim = lateral(known_start=False)
+    two = {name: np.repeat(getattr(sim.windows, name), 2, axis=0) for name in ("u", "x0", "t")}
+    tiled = {name: np.tile(getattr(sim.windows, name), 2) for name in ("y", "valid")}
+    sim = replace(sim, windows=replace(sim.windows, **two, **tiled))
+    at, whole = linearise(sim, TRUTH), sensitivity(sim, TRUTH)
+    each = dict(zip(sim.nuisances, whole.jacobian[len(TRUTH) :], strict=True))
+    for k, kind in enumerate(("v_y", "r")):
+        together = each[f"{kind}_0"] + each[f"{kind}_1"]
+        np.testing.assert_allclose(at.J_x[k], together, atol=2e-3 * np.abs(together).max())
+
+
+def test_a_fit_to_noise_free_data_ends_at_the_truth() -> None:
+    sim = lateral()
+    clean = sim.noise_free(TRUTH[None])[0]
+    fit = best(Observation(sim, clean, False), (sim.space.low + sim.space.high)[None] / 2)
+    # It ends where half the sum of squares falls by less than 0.01, so within 0.15 standard deviations along each
+    # direction of information.
+    off = (fit.theta - TRUTH) / sim.space.prior_std
+    assert off @ fit.information @ off < 2 * 2 * 0.01
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8])
+def test_noise_that_is_estimated_with_the_fit_is_the_noise_that_was_added(rho: float) -> None:
+    # 500 samples: the standard deviation of an AR(1) process is known to sqrt((1 + rho^2)/(1 - rho^2) / 2n), its
+    # correlation to sqrt((1 - rho^2)/n), and three fitted parameters take 3/n of the variance; four of those each.
+    fit = fitted(recorded(lateral(rho=rho)))
+    n = 500
+    spread = 4 * np.sqrt((1 + rho**2) / (1 - rho**2) / (2 * n)) + 3 / n
+    np.testing.assert_allclose(fit.simulator.noise.floor, lateral().noise.floor, rtol=spread)
+    np.testing.assert_allclose(fit.simulator.noise.rho, rho, atol=4 * np.sqrt((1 - rho**2) / n) + 3 / n)
+
+
+def test_what_is_known_of_the_noise_stays() -> None:
+    observation = replace(recorded(lateral()), estimated=False)
+    fit = Fit(observation, TRUTH, linearise(observation.simulator, TRUTH))
+    assert with_own_noise(fit) is fit
+
+
+def test_a_parameter_on_the_rim_of_its_box_does_not_count_as_inside() -> None:
+    sim = lateral()
+    far = sim.noise_free(np.array([[1.499, 0.05, -0.05]]))[0]
+    narrow = replace(sim.space.parameters[0], high=1.3)
+    tight = replace(sim, space=replace(sim.space, parameters=(narrow, *sim.space.parameters[1:])))
+    fit = best(Observation(tight, far, False), (tight.space.low + tight.space.high)[None] / 2)
+    assert fit.inside.tolist()[0] is False
