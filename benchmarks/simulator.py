@@ -97,7 +97,7 @@ def contend(name: str, turns: Connection) -> None:
         os.environ["NUMBA_CACHE_DIR"] = cache
         if name == "bare":
             strip()
-        from vehicle_sbi.physics.simulation import MODELS, simulate_batch
+        from vehicle_sbi.physics.simulation import batch_simulator
 
         rng = np.random.default_rng(0)
         initial = np.zeros((SIMULATIONS, 1, 3))
@@ -107,7 +107,7 @@ def contend(name: str, turns: Connection) -> None:
         fixed = (RATE, 1, initial, np.arange(5), np.array([0, 0, 0, 2, 2]), y, outcomes)
         while turns.recv():
             p, start = records(rng), time.perf_counter()
-            simulate_batch(p, MODELS[CONTENDERS[name]], 0, inputs(), *noise, *fixed)
+            batch_simulator(CONTENDERS[name])(p, 0, inputs(), *noise, *fixed)
             turns.send(time.perf_counter() - start)
         turns.send(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 

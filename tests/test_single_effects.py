@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from cars import PAPER, RATE, RIGID, V, coasting, exciting, finished, rate_of, record_of
+from cars import PAPER, RATE, RIGID, V, coasting, exciting, finished, integrated, rate_of, record_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,8 +21,7 @@ from vehicle_sbi.physics.effects import (
     tyre_force,
 )
 from vehicle_sbi.physics.sensors import MOTION
-from vehicle_sbi.physics.simulation import drive_through
-from vehicle_sbi.physics.single_track import DRIVES, INPUTS
+from vehicle_sbi.physics.single_track import INPUTS
 
 EPS = np.finfo(float).eps
 G, RHO = 9.81, 1.225
@@ -168,12 +167,8 @@ def test_banked_road_is_held_by_steering_towards_its_high_side() -> None:
 def test_yaw_inertia_slows_the_yaw_and_nothing_else_at_the_first_sample() -> None:
     u = coasting(V, 0.1)
     u[:, 0] = 0.01
-    motion = np.empty((2, len(u), len(MOTION)))
-    for i, factor in enumerate((1.0, 1.3)):
-        p = record_of(RIGID, yaw_inertia_factor=factor)[0]
-        derive(p)
-        initial = np.array([V, 0.0, 0.0])
-        drive_through(p, 0, DRIVES["speed"], u, np.zeros((1, 4)), 1 / RATE, 4, initial, motion[i])
+    cars = (record_of(RIGID, yaw_inertia_factor=factor) for factor in (1.0, 1.3))
+    motion = np.array([integrated(car, "speed", u, (V, 0.0, 0.0)) for car in cars])
     r_dot = motion[:, 0, MOTION.index("r_dot")]
     assert r_dot[0] / r_dot[1] == pytest.approx(1.3, rel=8 * EPS)
     others = [i for i, name in enumerate(MOTION) if name != "r_dot"]

@@ -18,8 +18,7 @@ sprung mass and no track the equations are those of the single-track model.
 
 import math
 
-from numba import njit
-
+from vehicle_sbi.physics.compiled import compiled
 from vehicle_sbi.physics.effects import (
     body_load,
     downforce,
@@ -62,20 +61,20 @@ V_X, V_Y, R, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(7)
 OMEGA, KAPPA, ALPHA = 7, 7 + WHEELS, 7 + 2 * WHEELS  # the first of four each
 
 
-@njit(cache=True)
+@compiled
 def wheel_speed(v_axle: float, r: float, y: float, R_e: float) -> float:
     """Speed [rad/s] of a wheel at y [m] left of the middle of an axle whose mean wheel speed is `v_axle` [rad/s]."""
     return v_axle - r * y / R_e
 
 
-@njit(cache=True)
+@compiled
 def place(p, i: int) -> tuple[float, float]:
     """Where wheel i stands, (x, y) [m] from the centre of gravity."""
     side = 0.5 if i % 2 == 0 else -0.5
     return (p.l_front, side * p.track_f) if i < 2 else (-p.l_rear, side * p.track_r)
 
 
-@njit(cache=True)
+@compiled
 def impose(p, drive: int, u, state) -> None:
     """Overwrite the states that the drive mode takes from the recording."""
     if drive == WHEEL_SPEED:
@@ -87,7 +86,7 @@ def impose(p, drive: int, u, state) -> None:
         state[V_X] = u[U_V_X]
 
 
-@njit(cache=True)
+@compiled
 def load(p, i: int, pitching: float, springs: float, centres: float, press_f: float, press_r: float):
     """Vertical load [N] of wheel i, and its ratio to the static one.
 
@@ -107,7 +106,7 @@ def load(p, i: int, pitching: float, springs: float, centres: float, press_f: fl
     return F_z, 2.0 * F_z / static
 
 
-@njit(cache=True)
+@compiled
 def restoring(p, state) -> tuple[float, float]:
     """Moments (roll, pitch) [N m] with which springs, dampers and gravity act on a leaning body."""
     roll = -(p.K_roll - GRAVITY * p.roll_lever) * state[ROLL] - p.D_roll * state[ROLL_RATE]
@@ -115,7 +114,7 @@ def restoring(p, state) -> tuple[float, float]:
     return roll, pitch
 
 
-@njit(cache=True)
+@compiled
 def derivatives(p, drive: int, u, state, rate) -> None:
     """Fill rate (19,) with d(state)/dt; rate[V_X] and rate[V_Y] on entry are where the load-transfer loop starts.
 
@@ -207,7 +206,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     rate[ROLL_RATE], rate[PITCH_RATE] = roll_rate_dot, pitch_rate_dot
 
 
-@njit(cache=True)
+@compiled
 def start(p, drive: int, u, initial, state) -> None:
     """Fill the state at the first sample from (v_x, v_y, r): wheels rolling freely, or as recorded, slips and body
     settled in a steady turn on an even road."""
@@ -233,21 +232,21 @@ def start(p, drive: int, u, initial, state) -> None:
             state[KAPPA + i] = slip(R_e * state[OMEGA + i], v_wheel)
 
 
-@njit(cache=True)
-def record(p, drive: int, u, state, rate, motion) -> None:
+@compiled
+def record(p, drive: int, u, state, rate, motion, k: int) -> None:
     """Fill motion (14,) with MOTION at one sample: the body at the centre of gravity and the axles' mean wheels."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
-    motion[0], motion[1], motion[2] = v_x, v_y, r
-    motion[3] = rate[V_X] - v_y * r + (p.h_cog - p.h_pitch) * rate[PITCH_RATE]
-    motion[4] = rate[V_Y] + v_x * r - (p.h_cog - p.h_roll) * rate[ROLL_RATE]
-    motion[5] = rate[R]
+    motion[k, 0], motion[k, 1], motion[k, 2] = v_x, v_y, r
+    motion[k, 3] = rate[V_X] - v_y * r + (p.h_cog - p.h_pitch) * rate[PITCH_RATE]
+    motion[k, 4] = rate[V_Y] + v_x * r - (p.h_cog - p.h_roll) * rate[ROLL_RATE]
+    motion[k, 5] = rate[R]
     if drive == SPEED:
         R_f, R_r = rolling_radii(p)
         forward = v_x * math.cos(u[DELTA]) + (v_y + p.l_front * r) * math.sin(u[DELTA])
-        motion[6], motion[7] = forward / R_f, v_x / R_r
+        motion[k, 6], motion[k, 7] = forward / R_f, v_x / R_r
     else:
-        motion[6] = 0.5 * (state[OMEGA] + state[OMEGA + 1])
-        motion[7] = 0.5 * (state[OMEGA + 2] + state[OMEGA + 3])
-    motion[8], motion[9] = state[ROLL], state[PITCH]
-    motion[10], motion[11] = state[ROLL_RATE], state[PITCH_RATE]
-    motion[12], motion[13] = rate[ROLL_RATE], rate[PITCH_RATE]
+        motion[k, 6] = 0.5 * (state[OMEGA] + state[OMEGA + 1])
+        motion[k, 7] = 0.5 * (state[OMEGA + 2] + state[OMEGA + 3])
+    motion[k, 8], motion[k, 9] = state[ROLL], state[PITCH]
+    motion[k, 10], motion[k, 11] = state[ROLL_RATE], state[PITCH_RATE]
+    motion[k, 12], motion[k, 13] = rate[ROLL_RATE], rate[PITCH_RATE]

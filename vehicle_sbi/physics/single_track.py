@@ -13,8 +13,7 @@ and leaves only the lateral equations.
 
 import math
 
-from numba import njit
-
+from vehicle_sbi.physics.compiled import compiled
 from vehicle_sbi.physics.effects import (
     body_load,
     downforce,
@@ -45,20 +44,20 @@ SECANTS = 30  # of which the first so many extrapolate, the others go half the w
 STEEPEST = 1.5  # [rad], the largest slip angle whose tangent is taken
 
 
-@njit(cache=True)
+@compiled
 def regular(v: float) -> float:
     """|v| [m/s], kept above 0.5 by a parabola that joins it smoothly at 1 m/s, where the model's range ends."""
     v = abs(v)
     return v if v >= 1.0 else 0.5 * (1.0 + v * v)
 
 
-@njit(cache=True)
+@compiled
 def slip(R_omega: float, v_wheel: float) -> float:
     """Longitudinal slip kappa (the paper's equation 4), a wheel that turns backwards counted as locked."""
     return max((R_omega - v_wheel) / regular(max(R_omega, v_wheel)), -1.0)
 
 
-@njit(cache=True)
+@compiled
 def wheel_torque(torque: float, omega: float) -> float:
     """Net axle torque [N m]; a brake opposes rotation, so its torque fades below 1 rad/s and changes sign with it."""
     if torque >= 0.0 or omega >= 1.0:
@@ -68,13 +67,13 @@ def wheel_torque(torque: float, omega: float) -> float:
     return torque * omega * (2.0 - abs(omega))
 
 
-@njit(cache=True)
+@compiled
 def tangent(alpha: float) -> float:
     """tan(alpha), with alpha limited to STEEPEST."""
     return math.tan(min(max(alpha, -STEEPEST), STEEPEST))
 
 
-@njit(cache=True)
+@compiled
 def extrapolated(iteration: int, off_x: float, off_y: float, turn: float, x: float, y: float, z: float) -> float:
     """Share of the step before in the next one of a fixed-point iteration, whose residuals are (off_x, off_y [m/s^2],
     turn [rad]) now and were (x, y, z) then: Anderson's mixing of depth one, in one unknown the secant method.
@@ -89,8 +88,8 @@ def extrapolated(iteration: int, off_x: float, off_y: float, turn: float, x: flo
     return min(max(share, -9.0), 0.9)
 
 
-@njit(cache=True)
-def impose(drive: int, u, state) -> None:
+@compiled
+def impose(p, drive: int, u, state) -> None:
     """Overwrite the states that the drive mode takes from the recording."""
     if drive == WHEEL_SPEED:
         state[OMEGA_F] = u[U_OMEGA_F]
@@ -99,7 +98,7 @@ def impose(drive: int, u, state) -> None:
         state[V_X] = u[U_V_X]
 
 
-@njit(cache=True)
+@compiled
 def derivatives(p, drive: int, u, state, rate) -> None:
     """Fill rate (9,) with d(state)/dt; rate[V_X] on entry is the guess from which the load-transfer loop starts.
 
@@ -168,26 +167,26 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     rate[ALPHA_R] = fade_r * (alpha_r - state[ALPHA_R])
 
 
-@njit(cache=True)
+@compiled
 def contact_speed(p, delta: float, v_x: float, v_y: float, r: float) -> float:
     """Speed [m/s] of the front contact point in the wheel's own plane."""
     return v_x * math.cos(delta) + (v_y + p.l_front * r) * math.sin(delta)
 
 
-@njit(cache=True)
+@compiled
 def rolling_radii(p) -> tuple[float, float]:
     """Effective radii [m] of the front and rear tyres under their static loads."""
     return effective_radius(p.R_front, p.C_vert, p.F_zf_static), effective_radius(p.R_rear, p.C_vert, p.F_zr_static)
 
 
-@njit(cache=True)
+@compiled
 def start(p, drive: int, u, initial, state) -> None:
     """Fill the state at the first sample from (v_x, v_y, r): wheels rolling freely, or as recorded, slips settled."""
     state[V_X], state[V_Y], state[R] = initial[0], initial[1], initial[2]
     v_wheel_f = contact_speed(p, u[DELTA], state[V_X], state[V_Y], state[R])
     R_f, R_r = rolling_radii(p)
     state[OMEGA_F], state[OMEGA_R] = v_wheel_f / R_f, state[V_X] / R_r
-    impose(drive, u, state)
+    impose(p, drive, u, state)
     speed = regular(state[V_X])
     state[ALPHA_F] = u[DELTA] - math.atan((state[V_Y] + p.l_front * state[R]) / speed)
     state[ALPHA_R] = -math.atan((state[V_Y] - p.l_rear * state[R]) / speed)
@@ -195,14 +194,16 @@ def start(p, drive: int, u, initial, state) -> None:
     state[KAPPA_R] = slip(R_r * state[OMEGA_R], state[V_X]) if drive == WHEEL_SPEED else 0.0
 
 
-@njit(cache=True)
-def record(p, drive: int, u, state, rate, motion) -> None:
+@compiled
+def record(p, drive: int, u, state, rate, motion, k: int) -> None:
     """Fill the planar part of motion (14,), MOTION at one sample; wheels that are not solved for roll freely."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
-    motion[0], motion[1], motion[2] = v_x, v_y, r
-    motion[3], motion[4], motion[5] = rate[V_X] - v_y * r, rate[V_Y] + v_x * r, rate[R]
+    motion[k, 0], motion[k, 1], motion[k, 2] = v_x, v_y, r
+    motion[k, 3], motion[k, 4], motion[k, 5] = rate[V_X] - v_y * r, rate[V_Y] + v_x * r, rate[R]
     if drive == SPEED:
         R_f, R_r = rolling_radii(p)
-        motion[6], motion[7] = contact_speed(p, u[DELTA], v_x, v_y, r) / R_f, v_x / R_r
+        motion[k, 6], motion[k, 7] = contact_speed(p, u[DELTA], v_x, v_y, r) / R_f, v_x / R_r
     else:
-        motion[6], motion[7] = state[OMEGA_F], state[OMEGA_R]
+        motion[k, 6], motion[k, 7] = state[OMEGA_F], state[OMEGA_R]
+    for i in range(8, 14):
+        motion[k, i] = 0.0
