@@ -7,6 +7,4 @@ raise would keep numba from dropping the reference counts of arrays, a third of 
 from numba import njit
 
 compiled = njit(cache=True, error_model="numpy", forceinline=True)
-specialised = njit(
-    error_model="numpy", forceinline=True
-)  # for one model, by its module; its caller is what is kept
+specialised = njit(error_model="numpy", forceinline=True)  # for one model, by its module; its caller is what is kept

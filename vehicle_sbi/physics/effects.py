@@ -484,6 +484,8 @@ def friction_step(p, mu: float, t: float) -> float:
 @compiled
 def load_sensitivity(p, load: float) -> float:
     """Factor on the stiffnesses at a vertical load in units of the static one."""
+    if p.load_sensitivity_coefficient == 0.0:
+        return 1.0
     return max(1.0 + p.load_sensitivity_coefficient * (load - 1.0), LEAST_STIFFNESS)
 
 

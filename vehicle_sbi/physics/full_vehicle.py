@@ -17,35 +17,23 @@ sprung mass and no track the equations are those of the single-track model.
 """
 
 import math
+from typing import NamedTuple
 
+from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.compiled import compiled
-from vehicle_sbi.physics.effects import (
-    body_load,
-    downforce,
-    friction_step,
-    road_bank,
-    road_grade,
-    roll_steer,
-    steering_compliance,
-    tyre_force,
-)
+from vehicle_sbi.physics.effects import road_bank, tyre_force
 from vehicle_sbi.physics.single_track import (
     DELTA,
-    LOAD_ITERATIONS,
-    LOAD_TOLERANCE,
-    SECANTS,
     SPEED,
     T_F,
     T_R,
     TIME,
     TORQUE,
-    TWIST_TOLERANCE,
     U_OMEGA_F,
     U_OMEGA_R,
     U_V_X,
     U_V_X_DOT,
     WHEEL_SPEED,
-    extrapolated,
     regular,
     rolling_radii,
     slip,
@@ -114,96 +102,166 @@ def restoring(p, state) -> tuple[float, float]:
     return roll, pitch
 
 
+class Wheel(NamedTuple):
+    """What of a wheel stays as it is at one moment while loads and forces settle."""
+
+    x: float  # where it stands from the centre of gravity [m]
+    y: float
+    v_along: float  # how it moves along and across the car [m/s]
+    v_across: float
+    speed: float  # |v_along|, kept above 0.5 [m/s]
+    beta: float  # angle of its motion [rad]
+    omega: float  # [rad/s]
+    kappa: float  # lagged slip, slip angle [rad] and its tangent
+    alpha: float
+    tan_alpha: float
+
+
+class Car(NamedTuple):
+    """What of the car does."""
+
+    drive: int
+    relaxed: bool
+    outside: Outside
+    g_y: float  # gravity across the car [m/s^2]
+    roll: float  # moments that turn the body [N m]
+    pitch: float
+    held_roll: float  # and what of them springs and dampers carry to the wheels [N m]
+    held_pitch: float
+    front_left: Wheel
+    front_right: Wheel
+    rear_left: Wheel
+    rear_right: Wheel
+
+
+class Contact(NamedTuple):
+    """What a tyre does to the car, and what it is under."""
+
+    F_x: float  # along and across the car [N]
+    F_y: float
+    M_z: float  # about the centre of gravity [N m]
+    F_along: float  # in the wheel's own directions [N]
+    F_side: float
+    R_e: float  # effective radius [m]
+    kappa: float  # slip and slip angle without lag
+    alpha: float  # [rad]
+
+
+class Forces(NamedTuple):
+    """What all of it amounts to."""
+
+    a_x: float  # [m/s^2]
+    a_y: float
+    F_yf: float  # side force of the front axle [N]
+    M_z: float  # [N m]
+    roll_rate_dot: float  # [rad/s^2]
+    pitch_rate_dot: float
+    front_left: Contact
+    front_right: Contact
+    rear_left: Contact
+    rear_right: Contact
+
+
+@compiled
+def wheel(p, i: int, state) -> Wheel:
+    """Wheel i in a state (19,)."""
+    x, y = place(p, i)
+    v_along, v_across = state[V_X] - state[R] * y, state[V_Y] + state[R] * x
+    speed = regular(v_along)
+    beta, alpha = math.atan(v_across / speed), state[ALPHA + i]
+    return Wheel(x, y, v_along, v_across, speed, beta, state[OMEGA + i], state[KAPPA + i], alpha, tangent(alpha))
+
+
+@compiled
+def contact(p, car: Car, front: Front, i: int, w: Wheel, F_z: float, share: float) -> Contact:
+    """What the tyre of wheel i does under the load F_z [N], `share` times its static one."""
+    R_free, C_kappa, C_alpha = (p.R_front, p.C_kappa_f, p.C_alpha_f) if i < 2 else (p.R_rear, p.C_kappa_r, p.C_alpha_r)
+    delta, sine, cosine = (front.delta, front.sine, front.cosine) if i < 2 else (0.0, 0.0, 1.0)
+    R_e, alpha = effective_radius(R_free, p.C_vert, 2.0 * F_z), delta - w.beta
+    kappa = 0.0 if car.drive == SPEED else slip(R_e * w.omega, w.v_along * cosine + w.v_across * sine)
+    used, tan_alpha = (w.kappa, w.tan_alpha) if car.relaxed else (kappa, tangent(alpha))
+    mu, steady = car.outside.mu, car.outside.steady
+    F_along, F_side = tyre_force(p, 0.5 * C_kappa, 0.5 * C_alpha, mu, F_z, share, used, tan_alpha, steady)
+    F_x, F_y = F_along * cosine - F_side * sine, F_along * sine + F_side * cosine
+    return Contact(F_x, F_y, w.x * F_y - w.y * F_x, F_along, F_side, R_e, kappa, alpha)
+
+
+@compiled
+def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
+    """Forces of all wheels under the loads of accelerations (a_x, a_y) [m/s^2], and what they cause.
+
+    Sums run axle by axle, so that a mirrored drive has the same rounding.
+    """
+    out = car.outside
+    roll_rate_dot = (p.roll_lever * (a_y + car.g_y) + car.roll) / p.roll_J
+    pitch_rate_dot = (car.pitch - p.pitch_lever * (a_x + out.g_x)) / p.pitch_J
+    rigid_x, rigid_y = p.mass * p.h_cog - p.pitch_lever, p.mass * p.h_cog - p.roll_lever
+    pitching = rigid_x * (a_x + out.g_x) + car.held_pitch + p.h_pitch * p.pitch_lever * pitch_rate_dot
+    centres = rigid_y * (a_y + car.g_y) - p.h_roll * p.roll_lever * roll_rate_dot
+    F_z_fl, share_fl = load(p, 0, pitching, car.held_roll, centres, out.press_f, out.press_r)
+    F_z_fr, share_fr = load(p, 1, pitching, car.held_roll, centres, out.press_f, out.press_r)
+    F_z_rl, share_rl = load(p, 2, pitching, car.held_roll, centres, out.press_f, out.press_r)
+    F_z_rr, share_rr = load(p, 3, pitching, car.held_roll, centres, out.press_f, out.press_r)
+    fl = contact(p, car, front, 0, car.front_left, F_z_fl, share_fl)
+    fr = contact(p, car, front, 1, car.front_right, F_z_fr, share_fr)
+    rl = contact(p, car, front, 2, car.rear_left, F_z_rl, share_rl)
+    rr = contact(p, car, front, 3, car.rear_right, F_z_rr, share_rr)
+    F_x = out.push_x + (fl.F_x + fr.F_x) + (rl.F_x + rr.F_x)
+    F_y = out.push_y + (fl.F_y + fr.F_y) + (rl.F_y + rr.F_y)
+    M_z = out.moment_z + (fl.M_z + fr.M_z) + (rl.M_z + rr.M_z)
+    solved_x, solved_y = accelerated(p, car, F_x, F_y)
+    solved_x = a_x if car.drive == SPEED else solved_x
+    return Forces(solved_x, solved_y, fl.F_side + fr.F_side, M_z, roll_rate_dot, pitch_rate_dot, fl, fr, rl, rr)
+
+
+@compiled
+def accelerated(p, car: Car, F_x: float, F_y: float) -> tuple[float, float]:
+    """Accelerations [m/s^2] under the forces [N] of the tyres and from outside, the body swinging on its springs."""
+    m_x, m_y = p.mass - p.pitch_lever**2 / p.pitch_J, p.mass - p.roll_lever**2 / p.roll_J
+    pull_x = -p.pitch_lever / p.pitch_J * (car.pitch - p.pitch_lever * car.outside.g_x)
+    pull_y = p.roll_lever / p.roll_J * (car.roll + p.roll_lever * car.g_y)
+    return (F_x + pull_x) / m_x, (F_y + pull_y) / m_y
+
+
+@compiled
+def turn_wheel(p, drive: int, i: int, torque: float, w: Wheel, c: Contact, rate) -> None:
+    """Fill what rate (19,) has of wheel i: its rotation under its axle's torque [N m], and its lagged slips."""
+    inertia, sigma = (p.I_wf, p.sigma_f) if i < 2 else (p.I_wr, p.sigma_r)
+    net = wheel_torque(0.5 * torque, w.omega) - c.F_along * c.R_e
+    rate[OMEGA + i] = net / (0.5 * inertia) if drive == TORQUE else 0.0
+    rate[KAPPA + i] = w.speed / sigma * (c.kappa - w.kappa) if p.sigma_f > 0.0 else 0.0
+    rate[ALPHA + i] = w.speed / sigma * (c.alpha - w.alpha) if p.sigma_f > 0.0 else 0.0
+
+
 @compiled
 def derivatives(p, drive: int, u, state, rate) -> None:
-    """Fill rate (19,) with d(state)/dt; rate[V_X] and rate[V_Y] on entry are where the load-transfer loop starts.
+    """Fill rate (19,) with d(state)/dt; rate[V_X] and rate[V_Y] on entry are where the load-transfer loop starts."""
+    v_x, v_y, r = state[V_X], state[V_Y], state[R]
+    roll, pitch = restoring(p, state)
+    car = Car(
+        drive=drive,
+        relaxed=p.sigma_f > 0.0,
+        outside=outside(p, u[DELTA], v_x, r, u[TIME]),
+        g_y=road_bank(p),
+        roll=roll,
+        pitch=pitch,
+        held_roll=p.K_roll * state[ROLL] + p.D_roll * state[ROLL_RATE],
+        held_pitch=-(p.K_pitch * state[PITCH] + p.D_pitch * state[PITCH_RATE]),
+        front_left=wheel(p, 0, state),
+        front_right=wheel(p, 1, state),
+        rear_left=wheel(p, 2, state),
+        rear_right=wheel(p, 3, state),
+    )
+    given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
+    found, a_x, a_y = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
 
-    Loads depend on the accelerations and these on the tyres: the loop of the single-track model in both directions.
-    """
-    v_x, v_y, r, t = state[V_X], state[V_Y], state[R], u[TIME]
-    relaxed = p.sigma_f > 0.0
-    mu = friction_step(p, p.grip, t)
-    push_x, push_y, moment_z = body_load(p, v_x, t)
-    press_f, press_r = downforce(p, v_x)
-    g_x, g_y = road_grade(p, t), road_bank(p)
-    steady = v_x * r
-    straight = u[DELTA] + roll_steer(p, steady)
-    slope = 1.0 + (0.0 if relaxed else steering_compliance(p, p.C_alpha_f))
-    roll_moment, pitch_moment = restoring(p, state)
-    held_roll = p.K_roll * state[ROLL] + p.D_roll * state[ROLL_RATE]
-    held_pitch = -(p.K_pitch * state[PITCH] + p.D_pitch * state[PITCH_RATE])
-    m_x, m_y = p.mass - p.pitch_lever**2 / p.pitch_J, p.mass - p.roll_lever**2 / p.roll_J
-    pull_x = -p.pitch_lever / p.pitch_J * (pitch_moment - p.pitch_lever * g_x)
-    pull_y = p.roll_lever / p.roll_J * (roll_moment + p.roll_lever * g_y)
-    rigid_x, rigid_y = p.mass * p.h_cog - p.pitch_lever, p.mass * p.h_cog - p.roll_lever
-
-    a_x = u[U_V_X_DOT] - v_y * r if drive == SPEED else rate[V_X] - v_y * r
-    a_y, twist, converged = rate[V_Y] + v_x * r, 0.0, False
-    F_x = F_y = M_z = roll_rate_dot = pitch_rate_dot = left_x = left_y = left_M = 0.0
-    before_x = before_y = before_turn = led_x = led_y = led_twist = 0.0
-    for iteration in range(LOAD_ITERATIONS):
-        delta = straight - twist
-        sine, cosine = math.sin(delta), math.cos(delta)
-        F_x, F_y, M_z, F_yf = push_x, push_y, moment_z, 0.0
-        roll_rate_dot = (p.roll_lever * (a_y + g_y) + roll_moment) / p.roll_J
-        pitch_rate_dot = (pitch_moment - p.pitch_lever * (a_x + g_x)) / p.pitch_J
-        pitching = rigid_x * (a_x + g_x) + held_pitch + p.h_pitch * p.pitch_lever * pitch_rate_dot
-        centres = rigid_y * (a_y + g_y) - p.h_roll * p.roll_lever * roll_rate_dot
-        for i in range(WHEELS):
-            x, y = place(p, i)
-            F_z, share = load(p, i, pitching, held_roll, centres, press_f, press_r)
-            v_along, v_across = v_x - r * y, v_y + r * x
-            speed = regular(v_along)
-            front = i < 2
-            alpha = (delta if front else 0.0) - math.atan(v_across / speed)
-            v_wheel = v_along * cosine + v_across * sine if front else v_along
-            R_e = effective_radius(p.R_front if front else p.R_rear, p.C_vert, 2.0 * F_z)
-            kappa = 0.0 if drive == SPEED else slip(R_e * state[OMEGA + i], v_wheel)
-            f_x, f_y = tyre_force(
-                p,
-                0.5 * (p.C_kappa_f if front else p.C_kappa_r),
-                0.5 * (p.C_alpha_f if front else p.C_alpha_r),
-                mu,
-                F_z,
-                share,
-                state[KAPPA + i] if relaxed else kappa,
-                tangent(state[ALPHA + i] if relaxed else alpha),
-                steady,
-            )
-            fade = speed / (p.sigma_f if front else p.sigma_r) if relaxed else 0.0
-            rate[KAPPA + i] = fade * (kappa - state[KAPPA + i])
-            rate[ALPHA + i] = fade * (alpha - state[ALPHA + i])
-            rate[OMEGA + i] = 0.0
-            if drive == TORQUE:
-                torque = wheel_torque(0.5 * (u[T_F] if front else u[T_R]), state[OMEGA + i])
-                rate[OMEGA + i] = (torque - f_x * R_e) / (0.5 * (p.I_wf if front else p.I_wr))
-            if front:
-                F_yf += f_y
-                f_x, f_y = f_x * cosine - f_y * sine, f_x * sine + f_y * cosine
-            f_M = x * f_y - y * f_x
-            if i % 2 == 0:
-                left_x, left_y, left_M = f_x, f_y, f_M
-            else:  # axle by axle, so that a mirrored drive has the same rounding
-                F_x, F_y, M_z = F_x + (left_x + f_x), F_y + (left_y + f_y), M_z + (left_M + f_M)
-        solved_x = a_x if drive == SPEED else (F_x + pull_x) / m_x
-        solved_y = (F_y + pull_y) / m_y
-        missing = steering_compliance(p, F_yf) - twist
-        off_x, off_y, turn = solved_x - a_x, solved_y - a_y, missing / slope
-        converged = max(abs(off_x), abs(off_y)) < LOAD_TOLERANCE and abs(missing) < TWIST_TOLERANCE
-        if converged:
-            break
-        back = extrapolated(iteration, off_x, off_y, turn, before_x, before_y, before_turn)
-        part = 1.0 if iteration < SECANTS else 0.5
-        before_x, before_y, before_turn = off_x, off_y, turn
-        a_x, led_x = a_x + part * off_x - back * (a_x + off_x - led_x), a_x + off_x
-        a_y, led_y = a_y + part * off_y - back * (a_y + off_y - led_y), a_y + off_y
-        twist, led_twist = twist + part * turn - back * (twist + turn - led_twist), twist + turn
-
-    rate[V_X] = a_x + v_y * r if converged else math.nan
-    rate[V_Y] = a_y - v_x * r
-    rate[R] = M_z / p.I_z
+    rate[V_X], rate[V_Y], rate[R] = a_x + v_y * r, a_y - v_x * r, found.M_z / p.I_z
     rate[ROLL], rate[PITCH] = state[ROLL_RATE], state[PITCH_RATE]
-    rate[ROLL_RATE], rate[PITCH_RATE] = roll_rate_dot, pitch_rate_dot
+    rate[ROLL_RATE], rate[PITCH_RATE] = found.roll_rate_dot, found.pitch_rate_dot
+    turn_wheel(p, drive, 0, u[T_F], car.front_left, found.front_left, rate)
+    turn_wheel(p, drive, 1, u[T_F], car.front_right, found.front_right, rate)
+    turn_wheel(p, drive, 2, u[T_R], car.rear_left, found.rear_left, rate)
+    turn_wheel(p, drive, 3, u[T_R], car.rear_right, found.rear_right, rate)
 
 
 @compiled
