@@ -13,7 +13,7 @@ from reference_single_track import car_of
 
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, derive
-from vehicle_sbi.physics.full_vehicle import PITCH, PITCH_RATE, ROLL, ROLL_RATE, STATES, WHEELS, load
+from vehicle_sbi.physics.full_vehicle import PITCH, PITCH_RATE, ROLL, ROLL_RATE, STATES, WHEELS, loads
 from vehicle_sbi.physics.sensors import MOTION
 from vehicle_sbi.physics.single_track import DRIVES
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, Vehicle
@@ -57,7 +57,7 @@ thousand = st.floats(-3000.0, 3000.0)
 
 
 def loads_at(p: np.void, pitching: float, springs: float, centres: float, press: tuple[float, float]) -> np.ndarray:
-    return np.array([load(p, i, pitching, springs, centres, *press)[0] for i in range(WHEELS)])
+    return np.array(loads(p, pitching, springs, centres, *press))
 
 
 @given(thousand, thousand, thousand, st.floats(0.0, 2000.0), st.floats(0.0, 2000.0))

@@ -9,7 +9,7 @@ depth one, in one unknown the secant method).
 import math
 from typing import NamedTuple
 
-from vehicle_sbi.physics.compiled import compiled, specialised
+from vehicle_sbi.physics.compiled import compiled
 from vehicle_sbi.physics.effects import body_load, downforce, friction_step, road_grade, roll_steer, steering_compliance
 
 LOAD_TOLERANCE = 1e-9  # [m/s^2], where the loop between load transfer and longitudinal force stops
@@ -70,7 +70,7 @@ def extrapolated(iteration: int, off_x: float, off_y: float, turn: float, x: flo
     return min(max(share, -9.0), 0.9)
 
 
-@specialised
+@compiled
 def settled(forces, p, car, a_x: float, a_y: float):
     """What `forces(p, car, front, a_x, a_y)` finds at the accelerations [m/s^2] that it causes, and these two.
 

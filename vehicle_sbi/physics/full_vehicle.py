@@ -19,8 +19,8 @@ sprung mass and no track the equations are those of the single-track model.
 import math
 from typing import NamedTuple
 
-from vehicle_sbi.physics.balance import Front, Outside, outside, settled
-from vehicle_sbi.physics.compiled import compiled
+from vehicle_sbi.physics.balance import Front, Outside, outside, pointing, settled
+from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import road_bank, tyre_force
 from vehicle_sbi.physics.single_track import (
     DELTA,
@@ -75,23 +75,26 @@ def impose(p, drive: int, u, state) -> None:
 
 
 @compiled
-def load(p, i: int, pitching: float, springs: float, centres: float, press_f: float, press_r: float):
-    """Vertical load [N] of wheel i, and its ratio to the static one.
+def shared(axle: float, moment: float, track: float) -> tuple[float, float]:
+    """Loads [N] of an axle's left and right wheel, of the axle's load [N] and a moment [N m] to the right."""
+    all_of_it = max(0.5 * axle, 0.0)
+    across = min(max(moment / track, -all_of_it), all_of_it) if track > 0.0 else 0.0
+    return 0.5 * axle - across, 0.5 * axle + across
+
+
+@compiled
+def loads(p, pitching: float, springs: float, centres: float, press_f: float, press_r: float):
+    """Vertical loads [N] of the wheels: front left, front right, rear left, rear right.
 
     pitching [N m] moves load to the rear axle; springs and centres [N m] are what the springs and dampers and what the
     roll centres carry of the moment that moves load to the right wheels.
     """
     shift = pitching / p.L
-    if i < 2:
-        static, axle, track = p.F_zf_static, p.F_zf_static - shift + press_f, p.track_f
-        moment = p.roll_front * springs + centres * p.l_rear / p.L
-    else:
-        static, axle, track = p.F_zr_static, p.F_zr_static + shift + press_r, p.track_r
-        moment = (1.0 - p.roll_front) * springs + centres * p.l_front / p.L
-    all_of_it = max(0.5 * axle, 0.0)
-    across = min(max(moment / track, -all_of_it), all_of_it) if track > 0.0 else 0.0
-    F_z = 0.5 * axle + (across if i % 2 == 1 else -across)
-    return F_z, 2.0 * F_z / static
+    moment_f = p.roll_front * springs + centres * p.l_rear / p.L
+    moment_r = (1.0 - p.roll_front) * springs + centres * p.l_front / p.L
+    front_left, front_right = shared(p.F_zf_static - shift + press_f, moment_f, p.track_f)
+    rear_left, rear_right = shared(p.F_zr_static + shift + press_r, moment_r, p.track_r)
+    return front_left, front_right, rear_left, rear_right
 
 
 @compiled
@@ -100,6 +103,19 @@ def restoring(p, state) -> tuple[float, float]:
     roll = -(p.K_roll - GRAVITY * p.roll_lever) * state[ROLL] - p.D_roll * state[ROLL_RATE]
     pitch = -(p.K_pitch - GRAVITY * p.pitch_lever) * state[PITCH] - p.D_pitch * state[PITCH_RATE]
     return roll, pitch
+
+
+class Axle(NamedTuple):
+    """Constants of a wheel of an axle, half of the axle's where they are the axle's."""
+
+    x: float  # from the centre of gravity [m]
+    half_track: float  # [m]
+    R: float  # free radius [m]
+    C_kappa: float  # [N]
+    C_alpha: float  # [N/rad]
+    sigma: float  # [m]
+    inertia: float  # [kg m^2]
+    F_z_static: float  # [N]
 
 
 class Wheel(NamedTuple):
@@ -128,6 +144,8 @@ class Car(NamedTuple):
     pitch: float
     held_roll: float  # and what of them springs and dampers carry to the wheels [N m]
     held_pitch: float
+    front: Axle
+    rear: Axle
     front_left: Wheel
     front_right: Wheel
     rear_left: Wheel
@@ -163,26 +181,37 @@ class Forces(NamedTuple):
 
 
 @compiled
-def wheel(p, i: int, state) -> Wheel:
-    """Wheel i in a state (19,)."""
-    x, y = place(p, i)
-    v_along, v_across = state[V_X] - state[R] * y, state[V_Y] + state[R] * x
-    speed = regular(v_along)
-    beta, alpha = math.atan(v_across / speed), state[ALPHA + i]
-    return Wheel(x, y, v_along, v_across, speed, beta, state[OMEGA + i], state[KAPPA + i], alpha, tangent(alpha))
+def axles(p) -> tuple[Axle, Axle]:
+    """Front and rear."""
+    front = Axle(
+        p.l_front, 0.5 * p.track_f, p.R_front,
+        0.5 * p.C_kappa_f, 0.5 * p.C_alpha_f, p.sigma_f, 0.5 * p.I_wf, 0.5 * p.F_zf_static,
+    )  # fmt: skip
+    rear = Axle(
+        -p.l_rear, 0.5 * p.track_r, p.R_rear,
+        0.5 * p.C_kappa_r, 0.5 * p.C_alpha_r, p.sigma_r, 0.5 * p.I_wr, 0.5 * p.F_zr_static,
+    )  # fmt: skip
+    return front, rear
 
 
 @compiled
-def contact(p, car: Car, front: Front, i: int, w: Wheel, F_z: float, share: float) -> Contact:
-    """What the tyre of wheel i does under the load F_z [N], `share` times its static one."""
-    R_free, C_kappa, C_alpha = (p.R_front, p.C_kappa_f, p.C_alpha_f) if i < 2 else (p.R_rear, p.C_kappa_r, p.C_alpha_r)
-    delta, sine, cosine = (front.delta, front.sine, front.cosine) if i < 2 else (0.0, 0.0, 1.0)
-    R_e, alpha = effective_radius(R_free, p.C_vert, 2.0 * F_z), delta - w.beta
-    kappa = 0.0 if car.drive == SPEED else slip(R_e * w.omega, w.v_along * cosine + w.v_across * sine)
+def wheel(x: float, y: float, v_x: float, v_y: float, r: float, omega: float, kappa: float, alpha: float) -> Wheel:
+    """The wheel at (x, y) [m] of a car that moves with v_x, v_y [m/s] and r [rad/s], from its own three states."""
+    v_along, v_across = v_x - r * y, v_y + r * x
+    speed = regular(v_along)
+    return Wheel(x, y, v_along, v_across, speed, math.atan(v_across / speed), omega, kappa, alpha, tangent(alpha))
+
+
+@compiled
+def contact(p, car: Car, axle: Axle, front: Front, w: Wheel, F_z: float) -> Contact:
+    """What the tyre of a wheel that points to the `front` does under the load F_z [N]."""
+    R_e, alpha = effective_radius(axle.R, p.C_vert, 2.0 * F_z), front.delta - w.beta
+    kappa = 0.0 if car.drive == SPEED else slip(R_e * w.omega, w.v_along * front.cosine + w.v_across * front.sine)
     used, tan_alpha = (w.kappa, w.tan_alpha) if car.relaxed else (kappa, tangent(alpha))
-    mu, steady = car.outside.mu, car.outside.steady
-    F_along, F_side = tyre_force(p, 0.5 * C_kappa, 0.5 * C_alpha, mu, F_z, share, used, tan_alpha, steady)
-    F_x, F_y = F_along * cosine - F_side * sine, F_along * sine + F_side * cosine
+    mu, steady, share = car.outside.mu, car.outside.steady, F_z / axle.F_z_static
+    F_along, F_side = tyre_force(p, axle.C_kappa, axle.C_alpha, mu, F_z, share, used, tan_alpha, steady)
+    F_x = F_along * front.cosine - F_side * front.sine
+    F_y = F_along * front.sine + F_side * front.cosine
     return Contact(F_x, F_y, w.x * F_y - w.y * F_x, F_along, F_side, R_e, kappa, alpha)
 
 
@@ -198,14 +227,12 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     rigid_x, rigid_y = p.mass * p.h_cog - p.pitch_lever, p.mass * p.h_cog - p.roll_lever
     pitching = rigid_x * (a_x + out.g_x) + car.held_pitch + p.h_pitch * p.pitch_lever * pitch_rate_dot
     centres = rigid_y * (a_y + car.g_y) - p.h_roll * p.roll_lever * roll_rate_dot
-    F_z_fl, share_fl = load(p, 0, pitching, car.held_roll, centres, out.press_f, out.press_r)
-    F_z_fr, share_fr = load(p, 1, pitching, car.held_roll, centres, out.press_f, out.press_r)
-    F_z_rl, share_rl = load(p, 2, pitching, car.held_roll, centres, out.press_f, out.press_r)
-    F_z_rr, share_rr = load(p, 3, pitching, car.held_roll, centres, out.press_f, out.press_r)
-    fl = contact(p, car, front, 0, car.front_left, F_z_fl, share_fl)
-    fr = contact(p, car, front, 1, car.front_right, F_z_fr, share_fr)
-    rl = contact(p, car, front, 2, car.rear_left, F_z_rl, share_rl)
-    rr = contact(p, car, front, 3, car.rear_right, F_z_rr, share_rr)
+    F_z = loads(p, pitching, car.held_roll, centres, out.press_f, out.press_r)
+    straight = pointing(0.0)
+    fl = contact(p, car, car.front, front, car.front_left, F_z[0])
+    fr = contact(p, car, car.front, front, car.front_right, F_z[1])
+    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2])
+    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3])
     F_x = out.push_x + (fl.F_x + fr.F_x) + (rl.F_x + rr.F_x)
     F_y = out.push_y + (fl.F_y + fr.F_y) + (rl.F_y + rr.F_y)
     M_z = out.moment_z + (fl.M_z + fr.M_z) + (rl.M_z + rr.M_z)
@@ -224,13 +251,11 @@ def accelerated(p, car: Car, F_x: float, F_y: float) -> tuple[float, float]:
 
 
 @compiled
-def turn_wheel(p, drive: int, i: int, torque: float, w: Wheel, c: Contact, rate) -> None:
-    """Fill what rate (19,) has of wheel i: its rotation under its axle's torque [N m], and its lagged slips."""
-    inertia, sigma = (p.I_wf, p.sigma_f) if i < 2 else (p.I_wr, p.sigma_r)
+def turning(car: Car, axle: Axle, torque: float, w: Wheel, c: Contact) -> tuple[float, float, float]:
+    """d/dt of a wheel's speed [rad/s^2] under its axle's torque [N m], and of its lagged slips [1/s, rad/s]."""
     net = wheel_torque(0.5 * torque, w.omega) - c.F_along * c.R_e
-    rate[OMEGA + i] = net / (0.5 * inertia) if drive == TORQUE else 0.0
-    rate[KAPPA + i] = w.speed / sigma * (c.kappa - w.kappa) if p.sigma_f > 0.0 else 0.0
-    rate[ALPHA + i] = w.speed / sigma * (c.alpha - w.alpha) if p.sigma_f > 0.0 else 0.0
+    fade = w.speed / axle.sigma if car.relaxed else 0.0
+    return net / axle.inertia if car.drive == TORQUE else 0.0, fade * (c.kappa - w.kappa), fade * (c.alpha - w.alpha)
 
 
 @compiled
@@ -238,6 +263,8 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     """Fill rate (19,) with d(state)/dt; rate[V_X] and rate[V_Y] on entry are where the load-transfer loop starts."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     roll, pitch = restoring(p, state)
+    front, rear = axles(p)
+    y_f, y_r = front.half_track, rear.half_track
     car = Car(
         drive=drive,
         relaxed=p.sigma_f > 0.0,
@@ -247,10 +274,12 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         pitch=pitch,
         held_roll=p.K_roll * state[ROLL] + p.D_roll * state[ROLL_RATE],
         held_pitch=-(p.K_pitch * state[PITCH] + p.D_pitch * state[PITCH_RATE]),
-        front_left=wheel(p, 0, state),
-        front_right=wheel(p, 1, state),
-        rear_left=wheel(p, 2, state),
-        rear_right=wheel(p, 3, state),
+        front=front,
+        rear=rear,
+        front_left=wheel(front.x, y_f, v_x, v_y, r, state[7], state[11], state[15]),
+        front_right=wheel(front.x, -y_f, v_x, v_y, r, state[8], state[12], state[16]),
+        rear_left=wheel(rear.x, y_r, v_x, v_y, r, state[9], state[13], state[17]),
+        rear_right=wheel(rear.x, -y_r, v_x, v_y, r, state[10], state[14], state[18]),
     )
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     found, a_x, a_y = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
@@ -258,13 +287,13 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     rate[V_X], rate[V_Y], rate[R] = a_x + v_y * r, a_y - v_x * r, found.M_z / p.I_z
     rate[ROLL], rate[PITCH] = state[ROLL_RATE], state[PITCH_RATE]
     rate[ROLL_RATE], rate[PITCH_RATE] = found.roll_rate_dot, found.pitch_rate_dot
-    turn_wheel(p, drive, 0, u[T_F], car.front_left, found.front_left, rate)
-    turn_wheel(p, drive, 1, u[T_F], car.front_right, found.front_right, rate)
-    turn_wheel(p, drive, 2, u[T_R], car.rear_left, found.rear_left, rate)
-    turn_wheel(p, drive, 3, u[T_R], car.rear_right, found.rear_right, rate)
+    rate[7], rate[11], rate[15] = turning(car, front, u[T_F], car.front_left, found.front_left)
+    rate[8], rate[12], rate[16] = turning(car, front, u[T_F], car.front_right, found.front_right)
+    rate[9], rate[13], rate[17] = turning(car, rear, u[T_R], car.rear_left, found.rear_left)
+    rate[10], rate[14], rate[18] = turning(car, rear, u[T_R], car.rear_right, found.rear_right)
 
 
-@compiled
+@compiled_apart
 def start(p, drive: int, u, initial, state) -> None:
     """Fill the state at the first sample from (v_x, v_y, r): wheels rolling freely, or as recorded, slips and body
     settled in a steady turn on an even road."""
@@ -290,7 +319,7 @@ def start(p, drive: int, u, initial, state) -> None:
             state[KAPPA + i] = slip(R_e * state[OMEGA + i], v_wheel)
 
 
-@compiled
+@compiled_apart
 def record(p, drive: int, u, state, rate, motion, k: int) -> None:
     """Fill motion (14,) with MOTION at one sample: the body at the centre of gravity and the axles' mean wheels."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]

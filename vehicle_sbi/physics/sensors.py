@@ -6,7 +6,7 @@ a raised left side and a leaning body each leave g times the sine of their angle
 
 import math
 
-from vehicle_sbi.physics.compiled import compiled
+from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import follow, interpolate, road_bank, road_grade
 from vehicle_sbi.physics.vehicle import GRAVITY
 
@@ -97,7 +97,7 @@ def gyro_bias(p, r: float) -> float:
     return r + p.gyro_bias_z
 
 
-@compiled
+@compiled_apart
 def measure(p, motion, t, rate: float, y) -> None:
     """Fill y (10, time) with MEASUREMENTS from motion (time, 14) at times t [s], before any lag, delay or noise."""
     lean = p.body_roll_gradient * motion[0, A_Y]
@@ -142,7 +142,7 @@ def sensor_lag(p, group: int) -> float:
     return p.sensor_lag_wheel_speed
 
 
-@compiled
+@compiled_apart
 def report(p, signal, group: int, rate: float, out) -> None:
     """Write one channel (time,) to `out` as its group of sensors reports it: through its lag, then later."""
     lag, shift = sensor_lag(p, group), sensor_delay(p, group) * rate

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 from vehicle_sbi.physics import full_vehicle, single_track
-from vehicle_sbi.physics.compiled import compiled, specialised
+from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import derive, steer, torques
 from vehicle_sbi.physics.sensors import MEASUREMENTS, MOTION, measure, report
 from vehicle_sbi.physics.single_track import DELTA, T_F, T_R, TIME, regular
@@ -39,7 +39,7 @@ def advance(state, rate, h: float, out) -> None:
         out[i] = state[i] + h * rate[i]
 
 
-@compiled
+@compiled_apart
 def perturb(p, C, stiffness_noise, k: int) -> None:
     """Stiffnesses of sample k: C (C_kappa_f, C_kappa_r, C_alpha_f, C_alpha_r) [N, N/rad] and a draw (draws, 4) each."""
     p.C_kappa_f = C[0] + stiffness_noise[k, 0]
@@ -60,7 +60,7 @@ def outcome_at(motion, k: int) -> int:
     return SPUN_OUT if abs(motion[k, V_Y]) > regular(motion[k, V_X]) else FINISHED
 
 
-@specialised
+@compiled_apart
 def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps: int, initial, motion) -> int:
     """Integrate one window and record MOTION at every sample; returns FINISHED, SPUN_OUT or NOT_FINITE.
 
@@ -99,7 +99,7 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
     return outcome
 
 
-@compiled
+@compiled_apart
 def actuate(p, u, input_noise, rate: float, out) -> None:
     """What reaches the wheels: steering and torques through their effects, both with their relative noise.
 
@@ -117,7 +117,15 @@ def actuate(p, u, input_noise, rate: float, out) -> None:
         out[k, T_R] = (1.0 + input_noise[i, 1]) * T_r
 
 
-@specialised
+@compiled
+def fail(y) -> None:
+    """Fill y (channels, time) with NaN."""
+    for i in range(y.shape[0]):
+        for k in range(y.shape[1]):
+            y[i, k] = np.nan
+
+
+@compiled_apart
 def simulate(
     model, p, drive: int, u, stiffness_noise, input_noise, rate: float, substeps: int, initial, channels, groups, y
 ):
@@ -133,7 +141,7 @@ def simulate(
         actuate(p, u[w], input_noise, rate, acting)
         outcome = drive_through(model, p, drive, acting, stiffness_noise, 1.0 / rate, substeps, initial[w], motion)
         if outcome != FINISHED:
-            y.fill(np.nan)
+            fail(y)
             return outcome
         measure(p, motion, acting[:, TIME], rate, reading)
         for i in range(len(channels)):

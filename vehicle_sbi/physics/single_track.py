@@ -15,7 +15,7 @@ import math
 from typing import NamedTuple
 
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
-from vehicle_sbi.physics.compiled import compiled
+from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import tyre_force
 from vehicle_sbi.physics.tyre import effective_radius
 
@@ -181,7 +181,7 @@ def rolling_radii(p) -> tuple[float, float]:
     return effective_radius(p.R_front, p.C_vert, p.F_zf_static), effective_radius(p.R_rear, p.C_vert, p.F_zr_static)
 
 
-@compiled
+@compiled_apart
 def start(p, drive: int, u, initial, state) -> None:
     """Fill the state at the first sample from (v_x, v_y, r): wheels rolling freely, or as recorded, slips settled."""
     state[V_X], state[V_Y], state[R] = initial[0], initial[1], initial[2]
@@ -196,7 +196,7 @@ def start(p, drive: int, u, initial, state) -> None:
     state[KAPPA_R] = slip(R_r * state[OMEGA_R], state[V_X]) if drive == WHEEL_SPEED else 0.0
 
 
-@compiled
+@compiled_apart
 def record(p, drive: int, u, state, rate, motion, k: int) -> None:
     """Fill the planar part of motion (14,), MOTION at one sample; wheels that are not solved for roll freely."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
