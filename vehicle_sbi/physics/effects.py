@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vehicle_sbi.parameters import Parameter
-from vehicle_sbi.physics.compiled import compiled
+from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.tyre import dugoff
 from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle
 
@@ -172,7 +172,11 @@ _DERIVED = (
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
 
-RECORD = np.dtype([(name, np.float64) for name in (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *_DERIVED)])
+# A load on the body that no effect stands for: what is missing in a recording at one time, and how much of it.
+LATENT = ("latent_x", "latent_y", "latent_z", "latent_start", "latent_duration")  # [N, N, N m, s, s]
+
+_FIELDS = (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *LATENT, *_DERIVED)
+RECORD = np.dtype([(name, np.float64) for name in _FIELDS])
 
 
 def nominal_record(vehicle: Vehicle, duration: float = 0.0) -> np.void:
@@ -186,13 +190,15 @@ def nominal_record(vehicle: Vehicle, duration: float = 0.0) -> np.void:
         record[name] = np.nan if value is None else value
     record["I_z_stated"] = vehicle.I_z or 0.0
     record["duration"] = duration
+    for name in LATENT:
+        record[name] = 0.0
     for parameter in EFFECT_PARAMETERS.values():
         for name in parameter.fields:
             record[name] = parameter.null
     return record[0]
 
 
-@compiled
+@compiled_apart
 def derive(p) -> None:
     """Fill the derived fields of the record.
 
@@ -304,7 +310,7 @@ def steering_offset(p, delta: float) -> float:
     return delta + p.steering_offset_angle
 
 
-@compiled
+@compiled_apart
 def steer(p, command, rate: float, out) -> None:
     """Fill `out` with what the front wheels do [rad] on a command (time,): the steering effects in their order."""
     lagged = played = steering_delay(p, command, 0, rate)
@@ -458,12 +464,23 @@ def yaw_moment(p) -> float:
 
 
 @compiled
+def latent(p, t: float) -> tuple[float, float, float]:
+    """A load of unknown origin, (F_x, F_y [N], M_z [N m]) from `start` on for `duration`."""
+    if p.latent_duration <= 0.0:
+        return 0.0, 0.0, 0.0
+    share = pulse(t, p.latent_start, p.latent_duration)
+    return p.latent_x * share, p.latent_y * share, p.latent_z * share
+
+
+@compiled
 def body_load(p, v_x: float, t: float) -> tuple[float, float, float]:
     """Sum of the optional forces (x, y) [N] and moments about z [N m] on the body at time t [s]."""
     wind, wind_moment = crosswind(p)
     blow, blow_moment = gust(p, t)
-    along = aero_drag(p, v_x) + rolling_resistance(p, v_x) - p.mass * road_grade(p, t)
-    return along, wind + blow - p.mass * road_bank(p), wind_moment + blow_moment + yaw_moment(p)
+    rest_x, rest_y, rest_z = latent(p, t)
+    along = aero_drag(p, v_x) + rolling_resistance(p, v_x) - p.mass * road_grade(p, t) + rest_x
+    across = wind + blow - p.mass * road_bank(p) + rest_y
+    return along, across, wind_moment + blow_moment + yaw_moment(p) + rest_z
 
 
 # --- tyres ----------------------------------------------------------------------------------------------------------
