@@ -26,17 +26,16 @@ RESULT = Path(__file__).resolve().parent / "results" / "simulator.md"
 
 def strip() -> None:
     """Take the effects out of the equations of motion, actuators and sensors, before anything is compiled."""
-    from numba import njit
-
-    from vehicle_sbi.physics import sensors, simulation, single_track
+    from vehicle_sbi.physics import balance, sensors, simulation, single_track
+    from vehicle_sbi.physics.compiled import compiled as njit
     from vehicle_sbi.physics.tyre import dugoff
 
-    single_track.body_load = njit(lambda p, v_x, t: (0.0, 0.0, 0.0))
-    single_track.downforce = njit(lambda p, v_x: (0.0, 0.0))
-    single_track.friction_step = njit(lambda p, mu, t: mu)
-    single_track.road_grade = njit(lambda p, t: 0.0)
-    single_track.roll_steer = njit(lambda p, a_y: 0.0)
-    single_track.steering_compliance = njit(lambda p, F_yf: 0.0)
+    balance.body_load = njit(lambda p, v_x, t: (0.0, 0.0, 0.0))
+    balance.downforce = njit(lambda p, v_x: (0.0, 0.0))
+    balance.friction_step = njit(lambda p, mu, t: mu)
+    balance.road_grade = njit(lambda p, t: 0.0)
+    balance.roll_steer = njit(lambda p, a_y: 0.0)
+    balance.steering_compliance = njit(lambda p, F_yf: 0.0)
     single_track.tyre_force = njit(
         lambda p, C_kappa, C_alpha, mu, F_z, load, kappa, tan_alpha, a_y: dugoff(
             C_kappa, C_alpha, mu, F_z, kappa, tan_alpha
@@ -45,7 +44,8 @@ def strip() -> None:
 
     @njit
     def steer(p, command, rate, out):
-        out[:] = command
+        for k in range(len(command)):
+            out[k] = command[k]
 
     @njit
     def torques(p, front, rear, k, rate):
@@ -60,7 +60,8 @@ def strip() -> None:
 
     @njit
     def report(p, signal, group, rate, out):
-        out[:] = signal
+        for k in range(len(signal)):
+            out[k] = signal[k]
 
     simulation.steer, simulation.torques, simulation.measure, simulation.report = steer, torques, measure, report
 
@@ -97,7 +98,7 @@ def contend(name: str, turns: Connection) -> None:
         os.environ["NUMBA_CACHE_DIR"] = cache
         if name == "bare":
             strip()
-        from vehicle_sbi.physics.simulation import MODELS, simulate_batch
+        from vehicle_sbi.physics.simulation import batch_simulator
 
         rng = np.random.default_rng(0)
         initial = np.zeros((SIMULATIONS, 1, 3))
@@ -107,7 +108,7 @@ def contend(name: str, turns: Connection) -> None:
         fixed = (RATE, 1, initial, np.arange(5), np.array([0, 0, 0, 2, 2]), y, outcomes)
         while turns.recv():
             p, start = records(rng), time.perf_counter()
-            simulate_batch(p, MODELS[CONTENDERS[name]], 0, inputs(), *noise, *fixed)
+            batch_simulator(CONTENDERS[name])(p, 0, inputs(), *noise, *fixed)
             turns.send(time.perf_counter() - start)
         turns.send(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 

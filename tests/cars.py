@@ -1,13 +1,15 @@
 """Cars and drives that the physics tests share, and a simulation of one of them in one call."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
+from numba import njit
 
 from vehicle_sbi.physics.effects import RECORD, derive, nominal_record
-from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
-from vehicle_sbi.physics.simulation import FINISHED, MODELS, STATES, derivatives, impose, simulate_batch, start
+from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, MOTION
+from vehicle_sbi.physics.simulation import FINISHED, MODELS, batch_simulator, drive_through
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 
@@ -89,9 +91,9 @@ def rate_of(
     records: np.ndarray, drive: str, state: np.ndarray, u: np.ndarray, *, model: str = "single_track"
 ) -> np.ndarray:
     """d(state)/dt (states,) of the first record, the load-transfer loop started from no acceleration."""
-    p, out = records[0], np.zeros(STATES[MODELS[model]])
+    p, out = records[0], np.zeros(MODELS[model].STATES)
     derive(p)
-    derivatives(p, MODELS[model], DRIVES[drive], u, state, out)
+    MODELS[model].derivatives(p, DRIVES[drive], u, state, out)
     return out
 
 
@@ -99,10 +101,10 @@ def jacobian_of(
     records: np.ndarray, drive: str, v_x: float, columns: tuple[int, ...], step: float, *, model: str = "single_track"
 ) -> np.ndarray:
     """d(rate)/d(state) about straight driving at v_x, by central differences."""
-    p, state, u = records[0], np.zeros(STATES[MODELS[model]]), np.zeros(len(INPUTS))
+    p, state, u = records[0], np.zeros(MODELS[model].STATES), np.zeros(len(INPUTS))
     derive(p)
     u[3] = v_x
-    start(p, MODELS[model], DRIVES["torque"], u, np.array([v_x, 0.0, 0.0]), state)
+    MODELS[model].start(p, DRIVES["torque"], u, np.array([v_x, 0.0, 0.0]), state)
     u[5:7] = (state[3:5] if model == "single_track" else state[[7, 9]]).copy()
     slopes = []
     for column in columns:
@@ -110,10 +112,34 @@ def jacobian_of(
         shifted[0, column] += step
         shifted[1, column] -= step
         for x in shifted:
-            impose(p, MODELS[model], DRIVES[drive], u, x)
+            MODELS[model].impose(p, DRIVES[drive], u, x)
         forward, backward = (rate_of(records, drive, x, u, model=model) for x in shifted)
         slopes.append((forward - backward)[list(columns)] / (2.0 * step))
     return np.array(slopes).T
+
+
+@cache
+def integrator(model: str) -> Callable[..., int]:
+    """`drive_through` of one model, to be called without the rest of a simulation."""
+    equations = MODELS[model]
+
+    @njit(cache=True)
+    def integrate(p, drive, u, stiffness_noise, dt, substeps, initial, motion):
+        return drive_through(equations, p, drive, u, stiffness_noise, dt, substeps, initial, motion)
+
+    return integrate
+
+
+def integrated(
+    records: np.ndarray, drive: str, u: np.ndarray, initial: Sequence[float], *, model: str = "single_track"
+) -> np.ndarray:
+    """MOTION (time, 14) of the first record straight from the integrator, fed with u (time, 8) itself."""
+    p, motion = records[0], np.empty((len(u), len(MOTION)))
+    derive(p)
+    none = np.zeros((1, 4))
+    outcome = integrator(model)(p, DRIVES[drive], u, none, 1.0 / RATE, 4, np.array(initial, dtype=float), motion)
+    assert outcome == FINISHED
+    return motion
 
 
 def simulate(
@@ -132,9 +158,8 @@ def simulate(
     n = len(records)
     start = np.broadcast_to(np.asarray(initial, dtype=float), (n, 1, 3)).copy()
     y, outcomes = np.empty((n, len(MEASUREMENTS), len(u))), np.full(n, -1)
-    simulate_batch(
+    batch_simulator(model)(
         records.copy(),
-        MODELS[model],
         DRIVES[drive],
         u[np.newaxis],
         np.zeros((n, 1, 4)) if stiffness_noise is None else stiffness_noise,

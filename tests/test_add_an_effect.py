@@ -27,7 +27,7 @@ def test_the_page_s_example_passes_the_contract(tmp_path: Path) -> None:
     assert [kind for kind, _ in blocks] == ["python", "diff", "diff"]
     function, *changes = (block for _, block in blocks)
     source = tmp_path / "vehicle_sbi" / "physics" / "effects.py"
-    before = "@njit(cache=True)\ndef body_load"
+    before = "@compiled\ndef body_load"
     text = source.read_text().replace(before, f"{function}\n\n{before}")
     for change in changes:
         text = applied(text, change)

@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from cars import MILD, PAPER, RATE, V, exciting, finished, paper_manoeuvre, record_of, simulate
+from cars import MILD, PAPER, RATE, V, exciting, finished, integrated, paper_manoeuvre, record_of, simulate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,7 +20,7 @@ from vehicle_sbi.physics.effects import (
     nominal_record,
 )
 from vehicle_sbi.physics.sensors import MOTION
-from vehicle_sbi.physics.simulation import FINISHED, MODELS, NOT_FINITE, SPUN_OUT, drive_through, substeps_for
+from vehicle_sbi.physics.simulation import FINISHED, MODELS, NOT_FINITE, SPUN_OUT, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS
 
@@ -79,12 +79,8 @@ def test_parameter_has_unit_prior_null_and_fields(parameter: Parameter) -> None:
 def test_without_effects_inputs_and_motion_pass_untouched(model: str, drive: str) -> None:
     # The integrator alone, fed with the command itself, and its motion read as the measurement: bit for bit what the
     # whole chain gives with every effect at its null. A leaning body turns its IMU, whose accelerations are left out.
-    p, u = record_of(PAPER)[0], exciting(SECONDS)
-    motion = np.empty((len(u), len(MOTION)))
-    derive(p)
-    initial = np.array([V, 0.0, 0.0])
-    outcome = drive_through(p, MODELS[model], DRIVES[drive], u, np.zeros((1, 4)), 1.0 / RATE, 4, initial, motion)
-    assert outcome == FINISHED
+    u = exciting(SECONDS)
+    motion = integrated(record_of(PAPER), drive, u, (V, 0.0, 0.0), model=model)
     y = finished(record_of(PAPER), drive, u, (V, 0.0, 0.0), model=model)
     rows = [("r", YAW), ("v_x", V_X), ("v_y", V_Y)]
     rows += [("a_x", A_X), ("a_y", A_Y)] if model == "single_track" else [("roll_rate", 8), ("pitch_rate", 9)]

@@ -6,16 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference_full_vehicle as reference
-from cars import MILD, PAPER, RATE, coasting, finished, paper_manoeuvre, rate_of, record_of, smooth_inputs
+from cars import MILD, PAPER, RATE, coasting, finished, integrated, paper_manoeuvre, rate_of, record_of, smooth_inputs
 from hypothesis import given
 from hypothesis import strategies as st
 from reference_single_track import car_of
 
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, derive
-from vehicle_sbi.physics.full_vehicle import PITCH, PITCH_RATE, ROLL, ROLL_RATE, STATES, WHEELS, load
+from vehicle_sbi.physics.full_vehicle import PITCH, PITCH_RATE, ROLL, ROLL_RATE, STATES, WHEELS, loads
 from vehicle_sbi.physics.sensors import MOTION
-from vehicle_sbi.physics.simulation import FULL_VEHICLE, drive_through
 from vehicle_sbi.physics.single_track import DRIVES
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, Vehicle
 
@@ -32,10 +31,7 @@ ROLL_LEVER, PITCH_LEVER = M_S * (H_S - H_ROLL), M_S * (H_S - H_PITCH)
 
 def motion_of(car: Vehicle, drive: str, u: np.ndarray, initial: tuple[float, float, float]) -> dict[str, np.ndarray]:
     """MOTION by name, (time,) each."""
-    p, motion = record_of(car)[0], np.empty((len(u), len(MOTION)))
-    derive(p)
-    noise = np.zeros((1, 4))
-    drive_through(p, FULL_VEHICLE, DRIVES[drive], u, noise, 1.0 / RATE, 4, np.array(initial), motion)
+    motion = integrated(record_of(car), drive, u, initial, model="full_vehicle")
     return dict(zip(MOTION, motion.T, strict=True))
 
 
@@ -61,7 +57,7 @@ thousand = st.floats(-3000.0, 3000.0)
 
 
 def loads_at(p: np.void, pitching: float, springs: float, centres: float, press: tuple[float, float]) -> np.ndarray:
-    return np.array([load(p, i, pitching, springs, centres, *press)[0] for i in range(WHEELS)])
+    return np.array(loads(p, pitching, springs, centres, *press))
 
 
 @given(thousand, thousand, thousand, st.floats(0.0, 2000.0), st.floats(0.0, 2000.0))

@@ -9,8 +9,8 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 ORDER = """
 errors files parameters rng
-physics.vehicle physics.tyre physics.effects physics.sensors physics.single_track physics.full_vehicle
-physics.simulation
+physics.compiled physics.vehicle physics.tyre physics.effects physics.sensors physics.balance
+physics.single_track physics.full_vehicle physics.simulation
 data.recording data.formats data.readers data.manoeuvre data.noise
 inference.prior inference.simulator inference.information inference.setup inference.embedding inference.features
 inference.estimator inference.training inference.proposal inference.rounds inference.predictive inference.study

@@ -23,12 +23,12 @@ from cars import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.effects import derive
 from vehicle_sbi.physics.simulation import (
     MODELS,
     NOT_FINITE,
     SPUN_OUT,
-    STATES,
     actuate,
     fastest_rate,
     substeps_for,
@@ -226,7 +226,7 @@ everywhere = st.floats(-1e6, 1e6)
 inputs = st.tuples(*[everywhere] * len(INPUTS))
 
 
-@given(st.tuples(*[everywhere] * STATES[0]), inputs, st.sampled_from(sorted(DRIVES)), st.booleans())
+@given(st.tuples(*[everywhere] * single_track.STATES), inputs, st.sampled_from(sorted(DRIVES)), st.booleans())
 def test_finite_state_finite_rate(state: tuple[float, ...], u: tuple[float, ...], drive: str, relaxed: bool) -> None:
     # Lagged slips stay within what a slip can be, since they follow one: -1 and above.
     x = np.array(state)
@@ -235,7 +235,7 @@ def test_finite_state_finite_rate(state: tuple[float, ...], u: tuple[float, ...]
     assert np.isfinite(rate_of(records, drive, x, np.array(u))).all()
 
 
-@given(st.tuples(*[everywhere] * STATES[1]), inputs, st.sampled_from(sorted(DRIVES)), st.booleans())
+@given(st.tuples(*[everywhere] * full_vehicle.STATES), inputs, st.sampled_from(sorted(DRIVES)), st.booleans())
 def test_finite_state_finite_rate_of_four_wheels(
     state: tuple[float, ...], u: tuple[float, ...], drive: str, relaxed: bool
 ) -> None:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from cars import PAPER, RATE, RIGID, V, coasting, exciting, finished, rate_of, record_of
+from cars import PAPER, RATE, RIGID, V, coasting, exciting, finished, integrated, rate_of, record_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,8 +21,8 @@ from vehicle_sbi.physics.effects import (
     tyre_force,
 )
 from vehicle_sbi.physics.sensors import MOTION
-from vehicle_sbi.physics.simulation import drive_through
-from vehicle_sbi.physics.single_track import DRIVES, INPUTS
+from vehicle_sbi.physics.simulation import MODELS
+from vehicle_sbi.physics.single_track import INPUTS
 
 EPS = np.finfo(float).eps
 G, RHO = 9.81, 1.225
@@ -168,12 +168,8 @@ def test_banked_road_is_held_by_steering_towards_its_high_side() -> None:
 def test_yaw_inertia_slows_the_yaw_and_nothing_else_at_the_first_sample() -> None:
     u = coasting(V, 0.1)
     u[:, 0] = 0.01
-    motion = np.empty((2, len(u), len(MOTION)))
-    for i, factor in enumerate((1.0, 1.3)):
-        p = record_of(RIGID, yaw_inertia_factor=factor)[0]
-        derive(p)
-        initial = np.array([V, 0.0, 0.0])
-        drive_through(p, 0, DRIVES["speed"], u, np.zeros((1, 4)), 1 / RATE, 4, initial, motion[i])
+    cars = (record_of(RIGID, yaw_inertia_factor=factor) for factor in (1.0, 1.3))
+    motion = np.array([integrated(car, "speed", u, (V, 0.0, 0.0)) for car in cars])
     r_dot = motion[:, 0, MOTION.index("r_dot")]
     assert r_dot[0] / r_dot[1] == pytest.approx(1.3, rel=8 * EPS)
     others = [i for i, name in enumerate(MOTION) if name != "r_dot"]
@@ -222,6 +218,39 @@ def test_gust_begins_and_ends_when_it_says() -> None:
     assert [gust(p, t)[0] for t in after + 2 * EPS] == [0.0] * len(after)
     middles = np.arange(0.5e-4, 2.0, 1e-4)
     assert sum(gust(p, t)[0] for t in middles) * 1e-4 == pytest.approx(500.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_latent_side_force_and_moment_are_those_of_a_gust(model: str) -> None:
+    # An arm of 1/2 m multiplies without rounding: bit for bit the same drive.
+    blow = {"gust_force": 900.0, "gust_arm": 0.5, "gust_start": 1.0, "gust_duration": 0.8}
+    load = {"latent_y": 900.0, "latent_z": 450.0, "latent_start": 1.0, "latent_duration": 0.8}
+    y, expected = (
+        finished(record_of(PAPER, **fields), "torque", exciting(4.0), (V, 0.0, 0.0), model=model)
+        for fields in (load, blow)
+    )
+    assert np.array_equal(y, expected)
+    assert not np.array_equal(y, finished(record_of(PAPER), "torque", exciting(4.0), (V, 0.0, 0.0), model=model))
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_latent_load_that_lasts_no_time_is_none(model: str) -> None:
+    idle = record_of(PAPER, latent_x=-800.0, latent_y=500.0, latent_z=300.0, latent_start=1.0)
+    y, plain = (finished(p, "torque", exciting(4.0), (V, 0.0, 0.0), model=model) for p in (idle, record_of(PAPER)))
+    assert np.array_equal(y, plain)
+
+
+def test_latent_force_along_accelerates_a_rolling_car_while_it_lasts() -> None:
+    # F_x = -m g sin(angle) moves the body and two axles that turn; wheels lag by a slip of I_w a/(R^2 C) = 3e-4 of 5 %.
+    # An accelerometer reads it, which on a real slope gravity hides.
+    angle, mass = 0.05, M + 2 * 3.4 / 0.344**2
+    push = {"latent_x": -M * G * math.sin(angle), "latent_start": 0.5, "latent_duration": 1.0}
+    y = finished(record_of(RIGID, **push), "torque", coasting(V, 2.0), (V, 0.0, 0.0))
+    t = np.arange(y.shape[1]) / RATE
+    assert not y[A_X, t < 0.5].any()
+    during = (t > 0.5 + 2.0 * EDGE) & (t < 1.5)
+    assert y[A_X, during] == pytest.approx(-M * G * math.sin(angle) / mass, rel=1e-4)
+    assert np.abs(y[A_X, t > 1.5 + 2.0 * EDGE]).max() < 1e-4 * G * math.sin(angle)
 
 
 def test_profile_of_equal_knots_is_a_constant_grade() -> None:

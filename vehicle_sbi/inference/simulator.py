@@ -16,7 +16,7 @@ from vehicle_sbi.data.recording import Windows
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
-from vehicle_sbi.physics.simulation import FINISHED, MODELS, simulate_batch
+from vehicle_sbi.physics.simulation import FINISHED, batch_simulator
 from vehicle_sbi.physics.single_track import DRIVES
 from vehicle_sbi.rng import Stream, generator
 
@@ -107,9 +107,8 @@ class Simulator:
         """Noise-free measurements (n, channels, time), NaN where a simulation failed, and outcomes (n,)."""
         y = np.empty((len(theta), *self.shape), dtype)
         outcomes = np.zeros(len(theta), np.int64)
-        simulate_batch(
+        batch_simulator(self.model)(
             self.space.records(theta, self.nominal),
-            MODELS[self.model],
             DRIVES[self.drive],
             self.windows.u,
             draws.stiffness,

@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.tyre import dugoff
 from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle
 
@@ -177,7 +177,11 @@ _DERIVED = (
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
 
-RECORD = np.dtype([(name, np.float64) for name in (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *_DERIVED)])
+# A load on the body that no effect stands for: what is missing in a recording at one time, and how much of it.
+LATENT = ("latent_x", "latent_y", "latent_z", "latent_start", "latent_duration")  # [N, N, N m, s, s]
+
+_FIELDS = (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *LATENT, *_DERIVED)
+RECORD = np.dtype([(name, np.float64) for name in _FIELDS])
 
 
 def nominal_record(vehicle: Vehicle, duration: float = 0.0) -> np.void:
@@ -191,13 +195,15 @@ def nominal_record(vehicle: Vehicle, duration: float = 0.0) -> np.void:
         record[name] = np.nan if value is None else value
     record["I_z_stated"] = vehicle.I_z or 0.0
     record["duration"] = duration
+    for name in LATENT:
+        record[name] = 0.0
     for parameter in EFFECT_PARAMETERS.values():
         for name in parameter.fields:
             record[name] = parameter.null
     return record[0]
 
 
-@njit(cache=True)
+@compiled_apart
 def derive(p) -> None:
     """Fill the derived fields of the record.
 
@@ -231,7 +237,7 @@ def derive(p) -> None:
     p.arm_x, p.arm_y, p.arm_z = imu_lever_arm(p)
 
 
-@njit(cache=True)
+@compiled
 def imu_lever_arm(p) -> tuple[float, float, float]:
     """Where the IMU sits from the centre of gravity [m]: where the vehicle file has it, plus the lever arm.
 
@@ -243,7 +249,7 @@ def imu_lever_arm(p) -> tuple[float, float, float]:
     return x + p.imu_lever_arm_x, y + p.imu_lever_arm_y, z + p.imu_lever_arm_z
 
 
-@njit(cache=True)
+@compiled
 def interpolate(signal, position: float) -> float:
     """The signal at a fractional sample `position`, linear between samples, held beyond its ends."""
     last = len(signal) - 1
@@ -256,20 +262,20 @@ def interpolate(signal, position: float) -> float:
     return signal[k] + share * (signal[k + 1] - signal[k]) if share > 0.0 else signal[k]
 
 
-@njit(cache=True)
+@compiled
 def follow(lag: float, rate: float) -> float:
     """Share of the way to its input that a first-order lag [s] goes in a sample; 1 without a lag."""
     return 1.0 - math.exp(-1.0 / (rate * lag)) if lag > 0.0 else 1.0
 
 
-@njit(cache=True)
+@compiled
 def rise(t: float) -> float:
     """0 before t = 0, 1 after EDGE, a smooth cubic between."""
     share = min(max(t / EDGE, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
-@njit(cache=True)
+@compiled
 def pulse(t: float, start: float, duration: float) -> float:
     """1 from `start` on for `duration` [s], with smooth edges; 0 everywhere where it lasts no time."""
     return rise(t - start) - rise(t - start - duration) if duration > 0.0 else 0.0
@@ -278,38 +284,38 @@ def pulse(t: float, start: float, duration: float) -> float:
 # --- command to wheels ----------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def steering_delay(p, command, k: int, rate: float) -> float:
     """The command [rad] that the wheels follow at sample k, `time` seconds old."""
     return interpolate(command, k - p.steering_delay_time * rate)
 
 
-@njit(cache=True)
+@compiled
 def steering_lag(p, delta: float, command: float, rate: float) -> float:
     """The angle [rad] a sample after `delta` on its way to the command, a first-order lag of `time`."""
     return delta + follow(p.steering_lag_time, rate) * (command - delta)
 
 
-@njit(cache=True)
+@compiled
 def steering_dead_band(p, delta: float, command: float) -> float:
     """The angle [rad] after `delta` behind a play of `width`: it moves only where the command pushes it."""
     half = 0.5 * p.steering_dead_band_width
     return min(max(delta, command - half), command + half)
 
 
-@njit(cache=True)
+@compiled
 def steering_ratio(p, delta: float) -> float:
     """Road-wheel angle [rad] where the stated ratio is off by a gain."""
     return p.steering_ratio_gain * delta
 
 
-@njit(cache=True)
+@compiled
 def steering_offset(p, delta: float) -> float:
     """Road-wheel angle [rad] with the zero of the steering sensor misplaced."""
     return delta + p.steering_offset_angle
 
 
-@njit(cache=True)
+@compiled_apart
 def steer(p, command, rate: float, out) -> None:
     """Fill `out` with what the front wheels do [rad] on a command (time,): the steering effects in their order."""
     lagged = played = steering_delay(p, command, 0, rate)
@@ -320,44 +326,44 @@ def steer(p, command, rate: float, out) -> None:
         out[k] = steering_offset(p, steering_ratio(p, played))
 
 
-@njit(cache=True)
+@compiled
 def steering_compliance(p, F_yf: float) -> float:
     """Angle [rad] by which the front axle's side force [N] turns the wheels back."""
     return p.steering_compliance_coefficient * F_yf
 
 
-@njit(cache=True)
+@compiled
 def roll_steer(p, a_y: float) -> float:
     """Angle [rad] that the front wheels steer as the body rolls under a steady lateral acceleration [m/s^2]."""
     return p.roll_steer_coefficient * a_y
 
 
-@njit(cache=True)
+@compiled
 def drive_gain(p, torque: float) -> float:
     """Axle torque [N m], drive torque being off by a gain."""
     return p.drive_gain_gain * torque if torque > 0.0 else torque
 
 
-@njit(cache=True)
+@compiled
 def brake_gain(p, torque: float) -> float:
     """Axle torque [N m], brake torque being off by a gain."""
     return p.brake_gain_gain * torque if torque < 0.0 else torque
 
 
-@njit(cache=True)
+@compiled
 def brake_balance(p, front: float, rear: float) -> tuple[float, float]:
     """Axle torques [N m] with a share of the sum moved to the front axle while neither drives."""
     moved = p.brake_balance_shift * (front + rear) if front <= 0.0 and rear <= 0.0 else 0.0
     return front + moved, rear - moved
 
 
-@njit(cache=True)
+@compiled
 def drive_delay(p, command, k: int, rate: float) -> float:
     """The torque command [N m] that acts at sample k, `time` seconds old."""
     return interpolate(command, k - p.drive_delay_time * rate)
 
 
-@njit(cache=True)
+@compiled
 def torques(p, front, rear, k: int, rate: float) -> tuple[float, float]:
     """Axle torques [N m] that act at sample k of the commands `front` and `rear` (time,)."""
     T_f, T_r = drive_delay(p, front, k, rate), drive_delay(p, rear, k, rate)
@@ -368,20 +374,20 @@ def torques(p, front, rear, k: int, rate: float) -> tuple[float, float]:
 # --- forces on the body ---------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def aero_drag(p, v_x: float) -> float:
     """Drag force [N] along x, -1/2 rho C_d A v|v| (Rajamani, sec. 4.2); vanishes at area 0."""
     return -0.5 * AIR_DENSITY * p.aero_drag_area * v_x * abs(v_x)
 
 
-@njit(cache=True)
+@compiled
 def downforce(p, v_x: float) -> tuple[float, float]:
     """What the air adds to the loads (front, rear) [N], 1/2 rho C_l A v^2 in all."""
     pressed = 0.5 * AIR_DENSITY * p.downforce_area * v_x * v_x
     return p.downforce_front_share * pressed, (1.0 - p.downforce_front_share) * pressed
 
 
-@njit(cache=True)
+@compiled
 def rolling_resistance(p, v_x: float) -> float:
     """Rolling resistance [N] along x, -c_rr F_z (Rajamani, sec. 4.2), fading linearly below 1 m/s to zero at rest."""
     press_f, press_r = downforce(p, v_x)
@@ -389,7 +395,7 @@ def rolling_resistance(p, v_x: float) -> float:
     return -p.rolling_resistance_coefficient * F_z * min(1.0, max(-1.0, v_x))
 
 
-@njit(cache=True)
+@compiled
 def profile_knots(p):
     """Grades [rad] at the knots of the profile."""
     return (
@@ -404,16 +410,17 @@ def profile_knots(p):
     )
 
 
-@njit(cache=True)
+@compiled
 def road_grade_profile(p, t: float) -> float:
     """Grade [rad] at time t [s] of the recording, linear between knots spread over its duration."""
-    knots = profile_knots(p)
     position = min(max(t / p.duration, 0.0), 1.0) * (KNOTS - 1) if p.duration > 0.0 else 0.0
-    k = min(int(position), KNOTS - 2)
-    return knots[k] + (position - k) * (knots[k + 1] - knots[k])
+    grade = 0.0
+    for i, angle in enumerate(profile_knots(p)):
+        grade += max(1.0 - abs(position - i), 0.0) * angle
+    return grade
 
 
-@njit(cache=True)
+@compiled
 def road_grade(p, t: float) -> float:
     """Gravity along x [m/s^2], g sin(grade), which slows the car uphill; vanishes at angle 0."""
     if p.profiled == 0.0:
@@ -421,26 +428,26 @@ def road_grade(p, t: float) -> float:
     return GRAVITY * math.sin(p.road_grade_angle + road_grade_profile(p, t))
 
 
-@njit(cache=True)
+@compiled
 def road_bank(p) -> float:
     """Gravity along y [m/s^2], g sin(bank): the raised left side pulls to the right."""
     return p.bank_gravity
 
 
-@njit(cache=True)
+@compiled
 def crosswind(p) -> tuple[float, float]:
     """Side force [N] and yaw moment [N m] of a steady wind."""
     return p.crosswind_force, p.crosswind_arm * p.crosswind_force
 
 
-@njit(cache=True)
+@compiled
 def gust(p, t: float) -> tuple[float, float]:
     """Side force [N] and yaw moment [N m] of a wind that blows from `start` on for `duration`."""
     force = p.gust_force * pulse(t, p.gust_start, p.gust_duration)
     return force, p.gust_arm * force
 
 
-@njit(cache=True)
+@compiled
 def payload(p) -> tuple[float, float, float]:
     """Mass [kg], front axle to centre of gravity [m] and added yaw inertia [kg m^2] with a load at x from the empty
     car's centre of gravity (parallel-axis theorem)."""
@@ -449,55 +456,68 @@ def payload(p) -> tuple[float, float, float]:
     return mass, p.l_f - share * p.payload_x, share * p.m * p.payload_x**2
 
 
-@njit(cache=True)
+@compiled
 def yaw_inertia(p, I_z: float) -> float:
     """Yaw inertia [kg m^2] where m l_f l_r is off by a factor."""
     return p.yaw_inertia_factor * I_z
 
 
-@njit(cache=True)
+@compiled
 def yaw_moment(p) -> float:
     """Constant moment [N m] about the vertical axis."""
     return p.yaw_moment_moment
 
 
-@njit(cache=True)
+@compiled
+def latent(p, t: float) -> tuple[float, float, float]:
+    """A load of unknown origin, (F_x, F_y [N], M_z [N m]) from `start` on for `duration`."""
+    if p.latent_duration <= 0.0:
+        return 0.0, 0.0, 0.0
+    share = pulse(t, p.latent_start, p.latent_duration)
+    return p.latent_x * share, p.latent_y * share, p.latent_z * share
+
+
+@compiled
 def body_load(p, v_x: float, t: float) -> tuple[float, float, float]:
     """Sum of the optional forces (x, y) [N] and moments about z [N m] on the body at time t [s]."""
     wind, wind_moment = crosswind(p)
     blow, blow_moment = gust(p, t)
-    along = aero_drag(p, v_x) + rolling_resistance(p, v_x) - p.mass * road_grade(p, t)
-    return along, wind + blow - p.mass * road_bank(p), wind_moment + blow_moment + yaw_moment(p)
+    rest_x, rest_y, rest_z = latent(p, t)
+    along = aero_drag(p, v_x) + rolling_resistance(p, v_x) - p.mass * road_grade(p, t) + rest_x
+    across = wind + blow - p.mass * road_bank(p) + rest_y
+    return along, across, wind_moment + blow_moment + yaw_moment(p) + rest_z
 
 
 # --- tyres ----------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def friction_level(p, mu: float) -> float:
     """Friction coefficient where the road's differs from the vehicle file's by a factor."""
     return p.friction_level_factor * mu
 
 
-@njit(cache=True)
+@compiled
 def friction_step(p, mu: float, t: float) -> float:
     """Friction coefficient at time t [s], off by a factor from `start` on for `duration`."""
     return mu * (1.0 + (p.friction_step_factor - 1.0) * pulse(t, p.friction_step_start, p.friction_step_duration))
 
 
-@njit(cache=True)
+@compiled
 def load_sensitivity(p, load: float) -> float:
     """Factor on the stiffnesses at a vertical load in units of the static one."""
+    if p.load_sensitivity_coefficient == 0.0:
+        return 1.0
     return max(1.0 + p.load_sensitivity_coefficient * (load - 1.0), LEAST_STIFFNESS)
 
 
-@njit(cache=True)
+@compiled
 def lateral_load_transfer(p, a_y: float) -> float:
     """Factor on the cornering stiffness of an axle at a steady lateral acceleration [m/s^2]."""
     return max(1.0 - p.lateral_load_transfer_coefficient * a_y * a_y, LEAST_STIFFNESS)
 
 
-@njit(cache=True)
+@compiled
 def tyre_curve(p, z: float) -> float:
     """Factor on Dugoff's force at demand over grip z: a blend towards sin(C atan(z/C)), which peaks (Pacejka,
     sec. 4.3), in place of z below the knee at 1/2 and 1 - 1/(4 z) beyond it."""
@@ -508,19 +528,19 @@ def tyre_curve(p, z: float) -> float:
     return 1.0 + p.tyre_curve_peak * (peaking / saturating - 1.0)
 
 
-@njit(cache=True)
+@compiled
 def relaxation(p, sigma: float) -> float:
     """Relaxation length [m] where C_alpha / K is off by a factor."""
     return p.relaxation_factor * sigma
 
 
-@njit(cache=True)
+@compiled
 def wheel_radius(p) -> tuple[float, float]:
     """Free radii [m] of the front and rear tyres, off by a factor each."""
     return p.wheel_radius_front * p.R_f, p.wheel_radius_rear * p.R_f
 
 
-@njit(cache=True)
+@compiled
 def tyre_force(
     p, C_kappa: float, C_alpha: float, mu: float, F_z: float, load: float, kappa: float, tan_alpha: float, a_y: float
 ) -> tuple[float, float]:

@@ -17,36 +17,23 @@ sprung mass and no track the equations are those of the single-track model.
 """
 
 import math
+from typing import NamedTuple
 
-from numba import njit
-
-from vehicle_sbi.physics.effects import (
-    body_load,
-    downforce,
-    friction_step,
-    road_bank,
-    road_grade,
-    roll_steer,
-    steering_compliance,
-    tyre_force,
-)
+from vehicle_sbi.physics.balance import Front, Outside, outside, pointing, settled
+from vehicle_sbi.physics.compiled import compiled, compiled_apart
+from vehicle_sbi.physics.effects import road_bank, tyre_force
 from vehicle_sbi.physics.single_track import (
     DELTA,
-    LOAD_ITERATIONS,
-    LOAD_TOLERANCE,
-    SECANTS,
     SPEED,
     T_F,
     T_R,
     TIME,
     TORQUE,
-    TWIST_TOLERANCE,
     U_OMEGA_F,
     U_OMEGA_R,
     U_V_X,
     U_V_X_DOT,
     WHEEL_SPEED,
-    extrapolated,
     regular,
     rolling_radii,
     slip,
@@ -62,20 +49,20 @@ V_X, V_Y, R, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(7)
 OMEGA, KAPPA, ALPHA = 7, 7 + WHEELS, 7 + 2 * WHEELS  # the first of four each
 
 
-@njit(cache=True)
+@compiled
 def wheel_speed(v_axle: float, r: float, y: float, R_e: float) -> float:
     """Speed [rad/s] of a wheel at y [m] left of the middle of an axle whose mean wheel speed is `v_axle` [rad/s]."""
     return v_axle - r * y / R_e
 
 
-@njit(cache=True)
+@compiled
 def place(p, i: int) -> tuple[float, float]:
     """Where wheel i stands, (x, y) [m] from the centre of gravity."""
     side = 0.5 if i % 2 == 0 else -0.5
     return (p.l_front, side * p.track_f) if i < 2 else (-p.l_rear, side * p.track_r)
 
 
-@njit(cache=True)
+@compiled
 def impose(p, drive: int, u, state) -> None:
     """Overwrite the states that the drive mode takes from the recording."""
     if drive == WHEEL_SPEED:
@@ -87,27 +74,30 @@ def impose(p, drive: int, u, state) -> None:
         state[V_X] = u[U_V_X]
 
 
-@njit(cache=True)
-def load(p, i: int, pitching: float, springs: float, centres: float, press_f: float, press_r: float):
-    """Vertical load [N] of wheel i, and its ratio to the static one.
+@compiled
+def shared(axle: float, moment: float, track: float) -> tuple[float, float]:
+    """Loads [N] of an axle's left and right wheel, of the axle's load [N] and a moment [N m] to the right."""
+    all_of_it = max(0.5 * axle, 0.0)
+    across = min(max(moment / track, -all_of_it), all_of_it) if track > 0.0 else 0.0
+    return 0.5 * axle - across, 0.5 * axle + across
+
+
+@compiled
+def loads(p, pitching: float, springs: float, centres: float, press_f: float, press_r: float):
+    """Vertical loads [N] of the wheels: front left, front right, rear left, rear right.
 
     pitching [N m] moves load to the rear axle; springs and centres [N m] are what the springs and dampers and what the
     roll centres carry of the moment that moves load to the right wheels.
     """
     shift = pitching / p.L
-    if i < 2:
-        static, axle, track = p.F_zf_static, p.F_zf_static - shift + press_f, p.track_f
-        moment = p.roll_front * springs + centres * p.l_rear / p.L
-    else:
-        static, axle, track = p.F_zr_static, p.F_zr_static + shift + press_r, p.track_r
-        moment = (1.0 - p.roll_front) * springs + centres * p.l_front / p.L
-    all_of_it = max(0.5 * axle, 0.0)
-    across = min(max(moment / track, -all_of_it), all_of_it) if track > 0.0 else 0.0
-    F_z = 0.5 * axle + (across if i % 2 == 1 else -across)
-    return F_z, 2.0 * F_z / static
+    moment_f = p.roll_front * springs + centres * p.l_rear / p.L
+    moment_r = (1.0 - p.roll_front) * springs + centres * p.l_front / p.L
+    front_left, front_right = shared(p.F_zf_static - shift + press_f, moment_f, p.track_f)
+    rear_left, rear_right = shared(p.F_zr_static + shift + press_r, moment_r, p.track_r)
+    return front_left, front_right, rear_left, rear_right
 
 
-@njit(cache=True)
+@compiled
 def restoring(p, state) -> tuple[float, float]:
     """Moments (roll, pitch) [N m] with which springs, dampers and gravity act on a leaning body."""
     roll = -(p.K_roll - GRAVITY * p.roll_lever) * state[ROLL] - p.D_roll * state[ROLL_RATE]
@@ -115,99 +105,195 @@ def restoring(p, state) -> tuple[float, float]:
     return roll, pitch
 
 
-@njit(cache=True)
-def derivatives(p, drive: int, u, state, rate) -> None:
-    """Fill rate (19,) with d(state)/dt; rate[V_X] and rate[V_Y] on entry are where the load-transfer loop starts.
+class Axle(NamedTuple):
+    """Constants of a wheel of an axle, half of the axle's where they are the axle's."""
 
-    Loads depend on the accelerations and these on the tyres: the loop of the single-track model in both directions.
+    x: float  # from the centre of gravity [m]
+    half_track: float  # [m]
+    R: float  # free radius [m]
+    C_kappa: float  # [N]
+    C_alpha: float  # [N/rad]
+    sigma: float  # [m]
+    inertia: float  # [kg m^2]
+    F_z_static: float  # [N]
+
+
+class Wheel(NamedTuple):
+    """What of a wheel stays as it is at one moment while loads and forces settle."""
+
+    x: float  # where it stands from the centre of gravity [m]
+    y: float
+    v_along: float  # how it moves along and across the car [m/s]
+    v_across: float
+    speed: float  # |v_along|, kept above 0.5 [m/s]
+    beta: float  # angle of its motion [rad]
+    omega: float  # [rad/s]
+    kappa: float  # lagged slip, slip angle [rad] and its tangent
+    alpha: float
+    tan_alpha: float
+
+
+class Car(NamedTuple):
+    """What of the car does."""
+
+    drive: int
+    relaxed: bool
+    outside: Outside
+    g_y: float  # gravity across the car [m/s^2]
+    roll: float  # moments that turn the body [N m]
+    pitch: float
+    held_roll: float  # and what of them springs and dampers carry to the wheels [N m]
+    held_pitch: float
+    front: Axle
+    rear: Axle
+    front_left: Wheel
+    front_right: Wheel
+    rear_left: Wheel
+    rear_right: Wheel
+
+
+class Contact(NamedTuple):
+    """What a tyre does to the car, and what it is under."""
+
+    F_x: float  # along and across the car [N]
+    F_y: float
+    M_z: float  # about the centre of gravity [N m]
+    F_along: float  # in the wheel's own directions [N]
+    F_side: float
+    R_e: float  # effective radius [m]
+    kappa: float  # slip and slip angle without lag
+    alpha: float  # [rad]
+
+
+class Forces(NamedTuple):
+    """What all of it amounts to."""
+
+    a_x: float  # [m/s^2]
+    a_y: float
+    F_yf: float  # side force of the front axle [N]
+    M_z: float  # [N m]
+    roll_rate_dot: float  # [rad/s^2]
+    pitch_rate_dot: float
+    front_left: Contact
+    front_right: Contact
+    rear_left: Contact
+    rear_right: Contact
+
+
+@compiled
+def axles(p) -> tuple[Axle, Axle]:
+    """Front and rear."""
+    front = Axle(
+        p.l_front, 0.5 * p.track_f, p.R_front,
+        0.5 * p.C_kappa_f, 0.5 * p.C_alpha_f, p.sigma_f, 0.5 * p.I_wf, 0.5 * p.F_zf_static,
+    )  # fmt: skip
+    rear = Axle(
+        -p.l_rear, 0.5 * p.track_r, p.R_rear,
+        0.5 * p.C_kappa_r, 0.5 * p.C_alpha_r, p.sigma_r, 0.5 * p.I_wr, 0.5 * p.F_zr_static,
+    )  # fmt: skip
+    return front, rear
+
+
+@compiled
+def wheel(x: float, y: float, v_x: float, v_y: float, r: float, omega: float, kappa: float, alpha: float) -> Wheel:
+    """The wheel at (x, y) [m] of a car that moves with v_x, v_y [m/s] and r [rad/s], from its own three states."""
+    v_along, v_across = v_x - r * y, v_y + r * x
+    speed = regular(v_along)
+    return Wheel(x, y, v_along, v_across, speed, math.atan(v_across / speed), omega, kappa, alpha, tangent(alpha))
+
+
+@compiled
+def contact(p, car: Car, axle: Axle, front: Front, w: Wheel, F_z: float) -> Contact:
+    """What the tyre of a wheel that points to the `front` does under the load F_z [N]."""
+    R_e, alpha = effective_radius(axle.R, p.C_vert, 2.0 * F_z), front.delta - w.beta
+    kappa = 0.0 if car.drive == SPEED else slip(R_e * w.omega, w.v_along * front.cosine + w.v_across * front.sine)
+    used, tan_alpha = (w.kappa, w.tan_alpha) if car.relaxed else (kappa, tangent(alpha))
+    mu, steady, share = car.outside.mu, car.outside.steady, F_z / axle.F_z_static
+    F_along, F_side = tyre_force(p, axle.C_kappa, axle.C_alpha, mu, F_z, share, used, tan_alpha, steady)
+    F_x = F_along * front.cosine - F_side * front.sine
+    F_y = F_along * front.sine + F_side * front.cosine
+    return Contact(F_x, F_y, w.x * F_y - w.y * F_x, F_along, F_side, R_e, kappa, alpha)
+
+
+@compiled
+def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
+    """Forces of all wheels under the loads of accelerations (a_x, a_y) [m/s^2], and what they cause.
+
+    Sums run axle by axle, so that a mirrored drive has the same rounding.
     """
-    v_x, v_y, r, t = state[V_X], state[V_Y], state[R], u[TIME]
-    relaxed = p.sigma_f > 0.0
-    mu = friction_step(p, p.grip, t)
-    push_x, push_y, moment_z = body_load(p, v_x, t)
-    press_f, press_r = downforce(p, v_x)
-    g_x, g_y = road_grade(p, t), road_bank(p)
-    steady = v_x * r
-    straight = u[DELTA] + roll_steer(p, steady)
-    slope = 1.0 + (0.0 if relaxed else steering_compliance(p, p.C_alpha_f))
-    roll_moment, pitch_moment = restoring(p, state)
-    held_roll = p.K_roll * state[ROLL] + p.D_roll * state[ROLL_RATE]
-    held_pitch = -(p.K_pitch * state[PITCH] + p.D_pitch * state[PITCH_RATE])
-    m_x, m_y = p.mass - p.pitch_lever**2 / p.pitch_J, p.mass - p.roll_lever**2 / p.roll_J
-    pull_x = -p.pitch_lever / p.pitch_J * (pitch_moment - p.pitch_lever * g_x)
-    pull_y = p.roll_lever / p.roll_J * (roll_moment + p.roll_lever * g_y)
+    out = car.outside
+    roll_rate_dot = (p.roll_lever * (a_y + car.g_y) + car.roll) / p.roll_J
+    pitch_rate_dot = (car.pitch - p.pitch_lever * (a_x + out.g_x)) / p.pitch_J
     rigid_x, rigid_y = p.mass * p.h_cog - p.pitch_lever, p.mass * p.h_cog - p.roll_lever
+    pitching = rigid_x * (a_x + out.g_x) + car.held_pitch + p.h_pitch * p.pitch_lever * pitch_rate_dot
+    centres = rigid_y * (a_y + car.g_y) - p.h_roll * p.roll_lever * roll_rate_dot
+    F_z = loads(p, pitching, car.held_roll, centres, out.press_f, out.press_r)
+    straight = pointing(0.0)
+    fl = contact(p, car, car.front, front, car.front_left, F_z[0])
+    fr = contact(p, car, car.front, front, car.front_right, F_z[1])
+    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2])
+    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3])
+    F_x = out.push_x + (fl.F_x + fr.F_x) + (rl.F_x + rr.F_x)
+    F_y = out.push_y + (fl.F_y + fr.F_y) + (rl.F_y + rr.F_y)
+    M_z = out.moment_z + (fl.M_z + fr.M_z) + (rl.M_z + rr.M_z)
+    solved_x, solved_y = accelerated(p, car, F_x, F_y)
+    solved_x = a_x if car.drive == SPEED else solved_x
+    return Forces(solved_x, solved_y, fl.F_side + fr.F_side, M_z, roll_rate_dot, pitch_rate_dot, fl, fr, rl, rr)
 
-    a_x = u[U_V_X_DOT] - v_y * r if drive == SPEED else rate[V_X] - v_y * r
-    a_y, twist, converged = rate[V_Y] + v_x * r, 0.0, False
-    F_x = F_y = M_z = roll_rate_dot = pitch_rate_dot = left_x = left_y = left_M = 0.0
-    before_x = before_y = before_turn = led_x = led_y = led_twist = 0.0
-    for iteration in range(LOAD_ITERATIONS):
-        delta = straight - twist
-        sine, cosine = math.sin(delta), math.cos(delta)
-        F_x, F_y, M_z, F_yf = push_x, push_y, moment_z, 0.0
-        roll_rate_dot = (p.roll_lever * (a_y + g_y) + roll_moment) / p.roll_J
-        pitch_rate_dot = (pitch_moment - p.pitch_lever * (a_x + g_x)) / p.pitch_J
-        pitching = rigid_x * (a_x + g_x) + held_pitch + p.h_pitch * p.pitch_lever * pitch_rate_dot
-        centres = rigid_y * (a_y + g_y) - p.h_roll * p.roll_lever * roll_rate_dot
-        for i in range(WHEELS):
-            x, y = place(p, i)
-            F_z, share = load(p, i, pitching, held_roll, centres, press_f, press_r)
-            v_along, v_across = v_x - r * y, v_y + r * x
-            speed = regular(v_along)
-            front = i < 2
-            alpha = (delta if front else 0.0) - math.atan(v_across / speed)
-            v_wheel = v_along * cosine + v_across * sine if front else v_along
-            R_e = effective_radius(p.R_front if front else p.R_rear, p.C_vert, 2.0 * F_z)
-            kappa = 0.0 if drive == SPEED else slip(R_e * state[OMEGA + i], v_wheel)
-            f_x, f_y = tyre_force(
-                p,
-                0.5 * (p.C_kappa_f if front else p.C_kappa_r),
-                0.5 * (p.C_alpha_f if front else p.C_alpha_r),
-                mu,
-                F_z,
-                share,
-                state[KAPPA + i] if relaxed else kappa,
-                tangent(state[ALPHA + i] if relaxed else alpha),
-                steady,
-            )
-            fade = speed / (p.sigma_f if front else p.sigma_r) if relaxed else 0.0
-            rate[KAPPA + i] = fade * (kappa - state[KAPPA + i])
-            rate[ALPHA + i] = fade * (alpha - state[ALPHA + i])
-            rate[OMEGA + i] = 0.0
-            if drive == TORQUE:
-                torque = wheel_torque(0.5 * (u[T_F] if front else u[T_R]), state[OMEGA + i])
-                rate[OMEGA + i] = (torque - f_x * R_e) / (0.5 * (p.I_wf if front else p.I_wr))
-            if front:
-                F_yf += f_y
-                f_x, f_y = f_x * cosine - f_y * sine, f_x * sine + f_y * cosine
-            f_M = x * f_y - y * f_x
-            if i % 2 == 0:
-                left_x, left_y, left_M = f_x, f_y, f_M
-            else:  # axle by axle, so that a mirrored drive has the same rounding
-                F_x, F_y, M_z = F_x + (left_x + f_x), F_y + (left_y + f_y), M_z + (left_M + f_M)
-        solved_x = a_x if drive == SPEED else (F_x + pull_x) / m_x
-        solved_y = (F_y + pull_y) / m_y
-        missing = steering_compliance(p, F_yf) - twist
-        off_x, off_y, turn = solved_x - a_x, solved_y - a_y, missing / slope
-        converged = max(abs(off_x), abs(off_y)) < LOAD_TOLERANCE and abs(missing) < TWIST_TOLERANCE
-        if converged:
-            break
-        back = extrapolated(iteration, off_x, off_y, turn, before_x, before_y, before_turn)
-        part = 1.0 if iteration < SECANTS else 0.5
-        before_x, before_y, before_turn = off_x, off_y, turn
-        a_x, led_x = a_x + part * off_x - back * (a_x + off_x - led_x), a_x + off_x
-        a_y, led_y = a_y + part * off_y - back * (a_y + off_y - led_y), a_y + off_y
-        twist, led_twist = twist + part * turn - back * (twist + turn - led_twist), twist + turn
 
-    rate[V_X] = a_x + v_y * r if converged else math.nan
-    rate[V_Y] = a_y - v_x * r
-    rate[R] = M_z / p.I_z
+@compiled
+def accelerated(p, car: Car, F_x: float, F_y: float) -> tuple[float, float]:
+    """Accelerations [m/s^2] under the forces [N] of the tyres and from outside, the body swinging on its springs."""
+    m_x, m_y = p.mass - p.pitch_lever**2 / p.pitch_J, p.mass - p.roll_lever**2 / p.roll_J
+    pull_x = -p.pitch_lever / p.pitch_J * (car.pitch - p.pitch_lever * car.outside.g_x)
+    pull_y = p.roll_lever / p.roll_J * (car.roll + p.roll_lever * car.g_y)
+    return (F_x + pull_x) / m_x, (F_y + pull_y) / m_y
+
+
+@compiled
+def turning(car: Car, axle: Axle, torque: float, w: Wheel, c: Contact) -> tuple[float, float, float]:
+    """d/dt of a wheel's speed [rad/s^2] under its axle's torque [N m], and of its lagged slips [1/s, rad/s]."""
+    net = wheel_torque(0.5 * torque, w.omega) - c.F_along * c.R_e
+    fade = w.speed / axle.sigma if car.relaxed else 0.0
+    return net / axle.inertia if car.drive == TORQUE else 0.0, fade * (c.kappa - w.kappa), fade * (c.alpha - w.alpha)
+
+
+@compiled
+def derivatives(p, drive: int, u, state, rate) -> None:
+    """Fill rate (19,) with d(state)/dt; rate[V_X] and rate[V_Y] on entry are where the load-transfer loop starts."""
+    v_x, v_y, r = state[V_X], state[V_Y], state[R]
+    roll, pitch = restoring(p, state)
+    front, rear = axles(p)
+    y_f, y_r = front.half_track, rear.half_track
+    car = Car(
+        drive=drive,
+        relaxed=p.sigma_f > 0.0,
+        outside=outside(p, u[DELTA], v_x, r, u[TIME]),
+        g_y=road_bank(p),
+        roll=roll,
+        pitch=pitch,
+        held_roll=p.K_roll * state[ROLL] + p.D_roll * state[ROLL_RATE],
+        held_pitch=-(p.K_pitch * state[PITCH] + p.D_pitch * state[PITCH_RATE]),
+        front=front,
+        rear=rear,
+        front_left=wheel(front.x, y_f, v_x, v_y, r, state[7], state[11], state[15]),
+        front_right=wheel(front.x, -y_f, v_x, v_y, r, state[8], state[12], state[16]),
+        rear_left=wheel(rear.x, y_r, v_x, v_y, r, state[9], state[13], state[17]),
+        rear_right=wheel(rear.x, -y_r, v_x, v_y, r, state[10], state[14], state[18]),
+    )
+    given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
+    found, a_x, a_y = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
+
+    rate[V_X], rate[V_Y], rate[R] = a_x + v_y * r, a_y - v_x * r, found.M_z / p.I_z
     rate[ROLL], rate[PITCH] = state[ROLL_RATE], state[PITCH_RATE]
-    rate[ROLL_RATE], rate[PITCH_RATE] = roll_rate_dot, pitch_rate_dot
+    rate[ROLL_RATE], rate[PITCH_RATE] = found.roll_rate_dot, found.pitch_rate_dot
+    rate[7], rate[11], rate[15] = turning(car, front, u[T_F], car.front_left, found.front_left)
+    rate[8], rate[12], rate[16] = turning(car, front, u[T_F], car.front_right, found.front_right)
+    rate[9], rate[13], rate[17] = turning(car, rear, u[T_R], car.rear_left, found.rear_left)
+    rate[10], rate[14], rate[18] = turning(car, rear, u[T_R], car.rear_right, found.rear_right)
 
 
-@njit(cache=True)
+@compiled_apart
 def start(p, drive: int, u, initial, state) -> None:
     """Fill the state at the first sample from (v_x, v_y, r): wheels rolling freely, or as recorded, slips and body
     settled in a steady turn on an even road."""
@@ -233,21 +319,21 @@ def start(p, drive: int, u, initial, state) -> None:
             state[KAPPA + i] = slip(R_e * state[OMEGA + i], v_wheel)
 
 
-@njit(cache=True)
-def record(p, drive: int, u, state, rate, motion) -> None:
+@compiled_apart
+def record(p, drive: int, u, state, rate, motion, k: int) -> None:
     """Fill motion (14,) with MOTION at one sample: the body at the centre of gravity and the axles' mean wheels."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
-    motion[0], motion[1], motion[2] = v_x, v_y, r
-    motion[3] = rate[V_X] - v_y * r + (p.h_cog - p.h_pitch) * rate[PITCH_RATE]
-    motion[4] = rate[V_Y] + v_x * r - (p.h_cog - p.h_roll) * rate[ROLL_RATE]
-    motion[5] = rate[R]
+    motion[k, 0], motion[k, 1], motion[k, 2] = v_x, v_y, r
+    motion[k, 3] = rate[V_X] - v_y * r + (p.h_cog - p.h_pitch) * rate[PITCH_RATE]
+    motion[k, 4] = rate[V_Y] + v_x * r - (p.h_cog - p.h_roll) * rate[ROLL_RATE]
+    motion[k, 5] = rate[R]
     if drive == SPEED:
         R_f, R_r = rolling_radii(p)
         forward = v_x * math.cos(u[DELTA]) + (v_y + p.l_front * r) * math.sin(u[DELTA])
-        motion[6], motion[7] = forward / R_f, v_x / R_r
+        motion[k, 6], motion[k, 7] = forward / R_f, v_x / R_r
     else:
-        motion[6] = 0.5 * (state[OMEGA] + state[OMEGA + 1])
-        motion[7] = 0.5 * (state[OMEGA + 2] + state[OMEGA + 3])
-    motion[8], motion[9] = state[ROLL], state[PITCH]
-    motion[10], motion[11] = state[ROLL_RATE], state[PITCH_RATE]
-    motion[12], motion[13] = rate[ROLL_RATE], rate[PITCH_RATE]
+        motion[k, 6] = 0.5 * (state[OMEGA] + state[OMEGA + 1])
+        motion[k, 7] = 0.5 * (state[OMEGA + 2] + state[OMEGA + 3])
+    motion[k, 8], motion[k, 9] = state[ROLL], state[PITCH]
+    motion[k, 10], motion[k, 11] = state[ROLL_RATE], state[PITCH_RATE]
+    motion[k, 12], motion[k, 13] = rate[ROLL_RATE], rate[PITCH_RATE]

@@ -6,8 +6,7 @@ a raised left side and a leaning body each leave g times the sine of their angle
 
 import math
 
-from numba import njit
-
+from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import follow, interpolate, road_bank, road_grade
 from vehicle_sbi.physics.vehicle import GRAVITY
 
@@ -27,7 +26,7 @@ BODY_MEASUREMENTS = ("a_z", "roll_rate", "pitch_rate")  # which a model without 
 GROUPS = ("imu", "can", "wheel_speed")
 
 
-@njit(cache=True)
+@compiled
 def lever_arm(p, a_x: float, a_y: float, w_x: float, w_y: float, r: float, dw_x: float, dw_y: float, r_dot: float):
     """Acceleration [m/s^2] at the IMU: a + dw/dt x p + w x (w x p) with a_z = 0 at the centre of gravity."""
     x, y, z = p.arm_x, p.arm_y, p.arm_z
@@ -40,7 +39,7 @@ def lever_arm(p, a_x: float, a_y: float, w_x: float, w_y: float, r: float, dw_x:
     )
 
 
-@njit(cache=True)
+@compiled
 def tilted(f_x: float, f_y: float, f_z: float, roll: float, pitch: float) -> tuple[float, float, float]:
     """A vector (road axes) in the axes of a body at `roll` and `pitch` [rad]: R_x(roll)' R_y(pitch)' f."""
     if pitch != 0.0:
@@ -52,7 +51,7 @@ def tilted(f_x: float, f_y: float, f_z: float, roll: float, pitch: float) -> tup
     return f_x, f_y, f_z
 
 
-@njit(cache=True)
+@compiled
 def imu_misalignment(p, f_x: float, f_y: float, f_z: float) -> tuple[float, float, float]:
     """A vector (body axes) in the axes of an IMU that is turned by yaw, then pitch, then roll."""
     yaw = p.imu_misalignment_yaw
@@ -62,43 +61,43 @@ def imu_misalignment(p, f_x: float, f_y: float, f_z: float) -> tuple[float, floa
     return tilted(f_x, f_y, f_z, p.imu_misalignment_roll, p.imu_misalignment_pitch)
 
 
-@njit(cache=True)
+@compiled
 def body_roll(p, roll: float, a_y: float, rate: float) -> float:
     """Roll angle [rad] a sample after `roll`, gradient * a_y behind a first-order lag."""
     return roll + follow(p.body_roll_lag, rate) * (p.body_roll_gradient * a_y - roll)
 
 
-@njit(cache=True)
+@compiled
 def body_pitch(p, pitch: float, a_x: float, rate: float) -> float:
     """Pitch angle [rad], nose down, a sample after `pitch`: -gradient * a_x behind a first-order lag."""
     return pitch + follow(p.body_pitch_lag, rate) * (-p.body_pitch_gradient * a_x - pitch)
 
 
-@njit(cache=True)
+@compiled
 def accelerometer_scale(p, a_x: float, a_y: float) -> tuple[float, float]:
     """Readings [m/s^2] of an accelerometer with a gain on each axis."""
     return p.accelerometer_scale_x * a_x, p.accelerometer_scale_y * a_y
 
 
-@njit(cache=True)
+@compiled
 def accelerometer_bias(p, a_x: float, a_y: float) -> tuple[float, float]:
     """Readings [m/s^2] of an accelerometer with a constant offset on each axis."""
     return a_x + p.accelerometer_bias_x, a_y + p.accelerometer_bias_y
 
 
-@njit(cache=True)
+@compiled
 def gyro_scale(p, r: float) -> float:
     """Reading [rad/s] of a yaw-rate sensor with a gain."""
     return p.gyro_scale_z * r
 
 
-@njit(cache=True)
+@compiled
 def gyro_bias(p, r: float) -> float:
     """Reading [rad/s] of a yaw-rate sensor with a constant offset."""
     return r + p.gyro_bias_z
 
 
-@njit(cache=True)
+@compiled_apart
 def measure(p, motion, t, rate: float, y) -> None:
     """Fill y (10, time) with MEASUREMENTS from motion (time, 14) at times t [s], before any lag, delay or noise."""
     lean = p.body_roll_gradient * motion[0, A_Y]
@@ -123,7 +122,7 @@ def measure(p, motion, t, rate: float, y) -> None:
         y[7, k], y[8, k], y[9, k] = f_z, w_x, w_y
 
 
-@njit(cache=True)
+@compiled
 def sensor_delay(p, group: int) -> float:
     """Delay [s] of a group of sensors, an index into GROUPS."""
     if group == 0:
@@ -133,7 +132,7 @@ def sensor_delay(p, group: int) -> float:
     return p.sensor_delay_wheel_speed
 
 
-@njit(cache=True)
+@compiled
 def sensor_lag(p, group: int) -> float:
     """First-order lag [s] of a group of sensors, an index into GROUPS."""
     if group == 0:
@@ -143,7 +142,7 @@ def sensor_lag(p, group: int) -> float:
     return p.sensor_lag_wheel_speed
 
 
-@njit(cache=True)
+@compiled_apart
 def report(p, signal, group: int, rate: float, out) -> None:
     """Write one channel (time,) to `out` as its group of sensors reports it: through its lag, then later."""
     lag, shift = sensor_lag(p, group), sensor_delay(p, group) * rate

@@ -4,147 +4,110 @@ MODELS says which equations of motion are integrated; inputs, effects, sensors a
 """
 
 import math
+from collections.abc import Callable, Mapping
+from functools import cache
+from types import ModuleType
 
 import numpy as np
 from numba import njit, prange
 
 from vehicle_sbi.physics import full_vehicle, single_track
+from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import derive, steer, torques
 from vehicle_sbi.physics.sensors import MEASUREMENTS, MOTION, measure, report
 from vehicle_sbi.physics.single_track import DELTA, T_F, T_R, TIME, regular
 from vehicle_sbi.physics.vehicle import GRAVITY
 
-SINGLE_TRACK, FULL_VEHICLE = 0, 1
-MODELS = {"single_track": SINGLE_TRACK, "full_vehicle": FULL_VEHICLE}
-STATES = (single_track.STATES, full_vehicle.STATES)
+MODELS: Mapping[str, ModuleType] = {"single_track": single_track, "full_vehicle": full_vehicle}
 V_X, V_Y = 0, 1  # the first states of every model
 
 FINISHED, SPUN_OUT, NOT_FINITE = 0, 1, 2
 
 
-@njit(cache=True)
-def impose(p, model: int, drive: int, u, state) -> None:
-    """Overwrite the states that the drive mode takes from the recording."""
-    if model == FULL_VEHICLE:
-        full_vehicle.impose(p, drive, u, state)
-    else:
-        single_track.impose(drive, u, state)
-
-
-@njit(cache=True)
-def derivatives(p, model: int, drive: int, u, state, rate) -> None:
-    """Fill rate (states,) with d(state)/dt; what it holds on entry is the guess of what the loads depend on."""
-    if model == FULL_VEHICLE:
-        full_vehicle.derivatives(p, drive, u, state, rate)
-    else:
-        single_track.derivatives(p, drive, u, state, rate)
-
-
-@njit(cache=True)
-def start(p, model: int, drive: int, u, initial, state) -> None:
-    """Fill the state (states,) at the first sample from (v_x, v_y, r)."""
-    if model == FULL_VEHICLE:
-        full_vehicle.start(p, drive, u, initial, state)
-    else:
-        single_track.start(p, drive, u, initial, state)
-
-
-@njit(cache=True)
-def record(p, model: int, drive: int, u, state, rate, motion) -> None:
-    """Fill motion (14,) with MOTION at one sample."""
-    if model == FULL_VEHICLE:
-        full_vehicle.record(p, drive, u, state, rate, motion)
-    else:
-        single_track.record(p, drive, u, state, rate, motion)
-
-
-@njit(cache=True)
+@compiled
 def blend(u, k: int, share: float, out) -> None:
     """The inputs at `share` of the way from sample k to the next, linear between samples; u (time, 8)."""
+    following = min(k + 1, u.shape[0] - 1)
     for i in range(u.shape[1]):
-        out[i] = u[k, i] + share * (u[k + 1, i] - u[k, i])
+        out[i] = u[k, i] + share * (u[following, i] - u[k, i])
 
 
-@njit(cache=True)
+@compiled
 def advance(state, rate, h: float, out) -> None:
     """out = state + h rate."""
     for i in range(len(state)):
         out[i] = state[i] + h * rate[i]
 
 
-@njit(cache=True)
-def runge_kutta(p, model: int, drive: int, u, k: int, substeps: int, dt: float, state, work) -> None:
-    """Take the state from sample k to the next in `substeps` classical fourth-order steps; work (6, states).
-
-    work[0] holds d(state)/dt at sample k on entry.
-    """
-    k1, k2, k3, k4, trial, now = work[0], work[1], work[2], work[3], work[4], work[5, : u.shape[1]]
-    h = dt / substeps
-    for step in range(substeps):
-        if step > 0:
-            blend(u, k, step / substeps, now)
-            derivatives(p, model, drive, now, state, k1)
-        blend(u, k, (step + 0.5) / substeps, now)
-        advance(state, k1, 0.5 * h, trial)
-        impose(p, model, drive, now, trial)
-        k2[V_X], k2[V_Y] = k1[V_X], k1[V_Y]
-        derivatives(p, model, drive, now, trial, k2)
-        advance(state, k2, 0.5 * h, trial)
-        impose(p, model, drive, now, trial)
-        k3[V_X], k3[V_Y] = k2[V_X], k2[V_Y]
-        derivatives(p, model, drive, now, trial, k3)
-        blend(u, k, (step + 1.0) / substeps, now)
-        advance(state, k3, h, trial)
-        impose(p, model, drive, now, trial)
-        k4[V_X], k4[V_Y] = k3[V_X], k3[V_Y]
-        derivatives(p, model, drive, now, trial, k4)
-        for i in range(len(state)):
-            state[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
-        impose(p, model, drive, now, state)
+@compiled_apart
+def perturb(p, C, stiffness_noise, k: int) -> None:
+    """Stiffnesses of sample k: C (C_kappa_f, C_kappa_r, C_alpha_f, C_alpha_r) [N, N/rad] and a draw (draws, 4) each."""
+    p.C_kappa_f = C[0] + stiffness_noise[k, 0]
+    p.C_kappa_r = C[1] + stiffness_noise[k, 1]
+    p.C_alpha_f = C[2] + stiffness_noise[k, 2]
+    p.C_alpha_r = C[3] + stiffness_noise[k, 3]
+    derive(p)
 
 
-@njit(cache=True)
-def drive_through(p, model: int, drive: int, u, stiffness_noise, dt: float, substeps: int, initial, motion) -> int:
+@compiled
+def outcome_at(motion, k: int) -> int:
+    """FINISHED while MOTION at sample k is all numbers and the car goes forwards rather than sideways."""
+    total = 0.0
+    for i in range(motion.shape[1]):
+        total += motion[k, i]
+    if not math.isfinite(total):
+        return NOT_FINITE
+    return SPUN_OUT if abs(motion[k, V_Y]) > regular(motion[k, V_X]) else FINISHED
+
+
+@compiled_apart
+def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps: int, initial, motion) -> int:
     """Integrate one window and record MOTION at every sample; returns FINISHED, SPUN_OUT or NOT_FINITE.
 
-    stiffness_noise (draws, 4) is added to (C_kappa_f, C_kappa_r, C_alpha_f, C_alpha_r) [N, N/rad]: one draw for the
-    whole window, or one per sample.
+    Between samples `substeps` classical Runge-Kutta steps of fourth order, inputs being linear. stiffness_noise
+    (draws, 4) is added to (C_kappa_f, C_kappa_r, C_alpha_f, C_alpha_r) [N, N/rad]: one draw for the whole window, or
+    one per sample. The rate of one stage is where the next one's loops start. The four stages share one call of the
+    equations of motion, which is then compiled in place: a quarter of the code, and arrays without reference counts.
     """
     C = (p.C_kappa_f, p.C_kappa_r, p.C_alpha_f, p.C_alpha_r)
-    state, work = np.zeros(STATES[model]), np.zeros((6, STATES[model]))
-    motion[:] = 0.0
-    outcome = FINISHED
-    for k in range(u.shape[0]):
-        if k < len(stiffness_noise):
-            p.C_kappa_f = C[0] + stiffness_noise[k, 0]
-            p.C_kappa_r = C[1] + stiffness_noise[k, 1]
-            p.C_alpha_f = C[2] + stiffness_noise[k, 2]
-            p.C_alpha_r = C[3] + stiffness_noise[k, 3]
-            derive(p)
-        if k == 0:
-            start(p, model, drive, u[0], initial, state)
-        rate = work[0]
-        derivatives(p, model, drive, u[k], state, rate)
-        record(p, model, drive, u[k], state, rate, motion[k])
-        if not math.isfinite(motion[k].sum()):
-            outcome = NOT_FINITE
-            break
-        if abs(state[V_Y]) > regular(state[V_X]):
-            outcome = SPUN_OUT
-            break
-        if k + 1 < u.shape[0]:
-            runge_kutta(p, model, drive, u, k, substeps, dt, state, work)
+    state, trial, rate, total = (
+        np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES),
+    )  # fmt: skip
+    now, h, outcome = np.zeros(u.shape[1]), dt / substeps, FINISHED
+    for evaluation in range(4 * substeps * (u.shape[0] - 1) + 1):
+        step, stage = evaluation // 4, evaluation % 4
+        k, share = step // substeps, 0.5 * ((stage + 1) // 2)
+        sampled = evaluation % (4 * substeps) == 0
+        blend(u, k, (step % substeps + share) / substeps, now)
+        if sampled and k < len(stiffness_noise):
+            perturb(p, C, stiffness_noise, k)
+        if evaluation == 0:
+            model.start(p, drive, now, initial, state)
+        advance(state, rate, share * h, trial)
+        model.impose(p, drive, now, trial)
+        model.derivatives(p, drive, now, trial, rate)
+        if sampled:
+            model.record(p, drive, now, trial, rate, motion, k)
+            outcome = outcome_at(motion, k)
+            if outcome != FINISHED:
+                break
+        weight = h / 6.0 if stage % 3 == 0 else h / 3.0
+        for i in range(model.STATES):
+            total[i] = weight * rate[i] + (trial[i] if stage == 0 else total[i])
+            state[i] = total[i] if stage == 3 else state[i]
     p.C_kappa_f, p.C_kappa_r, p.C_alpha_f, p.C_alpha_r = C
     return outcome
 
 
-@njit(cache=True)
+@compiled_apart
 def actuate(p, u, input_noise, rate: float, out) -> None:
     """What reaches the wheels: steering and torques through their effects, both with their relative noise.
 
     u, out (time, 8); input_noise (draws, 2) for steering and torques, one draw for the window or one per sample.
     """
-    out[:] = u
+    for k in range(u.shape[0]):
+        for i in range(u.shape[1]):
+            out[k, i] = u[k, i]
     steer(p, u[:, DELTA], rate, out[:, DELTA])
     for k in range(u.shape[0]):
         i = min(k, len(input_noise) - 1)
@@ -154,9 +117,17 @@ def actuate(p, u, input_noise, rate: float, out) -> None:
         out[k, T_R] = (1.0 + input_noise[i, 1]) * T_r
 
 
-@njit(cache=True)
+@compiled
+def fail(y) -> None:
+    """Fill y (channels, time) with NaN."""
+    for i in range(y.shape[0]):
+        for k in range(y.shape[1]):
+            y[i, k] = np.nan
+
+
+@compiled_apart
 def simulate(
-    p, model: int, drive: int, u, stiffness_noise, input_noise, rate: float, substeps: int, initial, channels, groups, y
+    model, p, drive: int, u, stiffness_noise, input_noise, rate: float, substeps: int, initial, channels, groups, y
 ):
     """One simulation over all windows: fill y (channels, windows * time), NaN if it fails; returns its outcome.
 
@@ -168,9 +139,9 @@ def simulate(
     derive(p)
     for w in range(windows):
         actuate(p, u[w], input_noise, rate, acting)
-        outcome = drive_through(p, model, drive, acting, stiffness_noise, 1.0 / rate, substeps, initial[w], motion)
+        outcome = drive_through(model, p, drive, acting, stiffness_noise, 1.0 / rate, substeps, initial[w], motion)
         if outcome != FINISHED:
-            y[:] = np.nan
+            fail(y)
             return outcome
         measure(p, motion, acting[:, TIME], rate, reading)
         for i in range(len(channels)):
@@ -178,27 +149,34 @@ def simulate(
     return FINISHED
 
 
-@njit(cache=True, parallel=True)
-def simulate_batch(
-    records, model, drive, u, stiffness_noise, input_noise, rate, substeps, initial, channels, groups, y, outcomes
-):
-    """Simulations in parallel: records (n,), stiffness_noise (n, draws, 4), input_noise (n, draws, 2),
-    initial (n, windows, 3), y (n, channels, windows * time), outcomes (n,)."""
-    for i in prange(len(records)):
-        outcomes[i] = simulate(
-            records[i],
-            model,
-            drive,
-            u,
-            stiffness_noise[i],
-            input_noise[i],
-            rate,
-            substeps,
-            initial[i],
-            channels,
-            groups,
-            y[i],
-        )
+@cache
+def batch_simulator(model: str) -> Callable[..., None]:
+    """Simulations of one of MODELS in parallel, compiled when first called: a function of records (n,), the drive mode,
+    u (windows, time, 8), stiffness_noise (n, draws, 4), input_noise (n, draws, 2), rate [Hz], substeps,
+    initial (n, windows, 3), channels, groups, that fills y (n, channels, windows * time) and outcomes (n,)."""
+    equations = MODELS[model]
+
+    @njit(cache=True, error_model="numpy", parallel=True)
+    def simulate_batch(
+        records, drive, u, stiffness_noise, input_noise, rate, substeps, initial, channels, groups, y, outcomes
+    ):
+        for i in prange(len(records)):
+            outcomes[i] = simulate(
+                equations,
+                records[i],
+                drive,
+                u,
+                stiffness_noise[i],
+                input_noise[i],
+                rate,
+                substeps,
+                initial[i],
+                channels,
+                groups,
+                y[i],
+            )
+
+    return simulate_batch
 
 
 def fastest_rate(record: np.void, drive: str, v_min: float, model: str = "single_track") -> float:

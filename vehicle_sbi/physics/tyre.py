@@ -10,10 +10,10 @@ of an axle, both tyres together.
 
 import math
 
-from numba import njit
+from vehicle_sbi.physics.compiled import compiled
 
 
-@njit(cache=True)
+@compiled
 def dugoff(
     C_kappa: float, C_alpha: float, mu: float, F_z: float, kappa: float, tan_alpha: float
 ) -> tuple[float, float]:
@@ -35,7 +35,7 @@ def dugoff(
     return demand_x * factor, demand_y * factor
 
 
-@njit(cache=True)
+@compiled
 def effective_radius(R_f: float, C_vert: float, F_z: float) -> float:
     """Effective rolling radius [m] of an axle's tyres, 2/3 R_f + 1/3 R_l with R_l = R_f - F_z,tyre / C_vert.
 
