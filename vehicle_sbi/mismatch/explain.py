@@ -21,7 +21,8 @@ from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 
 LEVEL = 0.05  # of the test whether anything is missing
-TRIED, LEAST_SHARE = 8, 0.3  # effects that are fitted fully beside each model, and of the best one's evidence
+TRIED = 8  # effects at most that are fitted fully beside each model
+LEAST_SHARE, SLACK = 0.65, 8.0  # of the best one's first-order evidence that they need, and by how much it may be off
 BEAM = 2  # models that are extended further
 MOST_EFFECTS = 3
 RELUCTANCE = (0.5, 0.4, 0.09, 0.01)  # prior probability of none, one, two, three effects
@@ -29,7 +30,7 @@ UNKNOWN = 0.2  # prior odds of something outside the catalogue, beside the best 
 SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
-SLACK = 5.0  # log evidence by which the first order may be off
+HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance
 
 
 @dataclass(frozen=True)
@@ -226,18 +227,19 @@ def explain(observation: Observation, base: Fit, *, rng: np.random.Generator) ->
         leading = sorted(grown.values(), key=_weight, reverse=True)[:BEAM]
         if not leading or _weight(leading[0]) <= _weight(best.model):
             break
-        frontier = [examine(model, rng) for model in leading]
-        best = frontier[0]
+        best = examine(leading[0], rng)
         if best.scores.p_value > LEVEL:
             break
+        frontier = [best, *(examine(model, rng) for model in leading[1:])]
     return _judge(pool, first, best)
 
 
 def _grow(examined: Examined) -> Iterator[Model]:
     """The model with each of its most promising effects."""
     promising = versions(examined)[:TRIED]
-    for version in promising:
-        if version.log_evidence < LEAST_SHARE * promising[0].log_evidence - SLACK:
+    for i, version in enumerate(promising):
+        needed = max(LEAST_SHARE * promising[0].log_evidence - SLACK, HOPELESS)
+        if version.log_evidence < needed and (i > 0 or examined.model.effects):
             return
         if version.score > 0 and (model := extended(examined.model, version)) is not None:
             yield model
