@@ -145,14 +145,23 @@ def test_body_roll_adds_eight_percent_to_steady_lateral_acceleration() -> None:
     assert leaning == pytest.approx(at_cog * math.cos(phi) + G * math.sin(phi), rel=1e-9)
 
 
-def test_body_roll_follows_a_step_as_a_first_order_lag() -> None:
-    # a_y held over each sample, so the discrete lag is the continuous one at the samples, to rounding.
-    lag, a_y, k = 0.12, 3.0, np.arange(60)
+def answer_to_a_rise(steps: int, lag: float) -> np.ndarray:
+    """A first-order lag at the samples, its input rising from 0 to 1 over the first; shape (steps + 1,).
+
+    T dy/dt = u - y: 1 - T/dt (1 - exp(-dt/T)) at the end of the rise, and the rest of it decays.
+    """
+    left = RATE * lag * -math.expm1(-1.0 / (RATE * lag))
+    return np.concatenate([[0.0], 1.0 - left * np.exp(-np.arange(steps) / (RATE * lag))])
+
+
+def test_body_roll_follows_a_rise_as_a_first_order_lag() -> None:
+    # a_y linear between samples, so the discrete lag is the continuous one at the samples, to rounding.
+    lag, a_y = 0.12, 3.0
     motion = motion_of(61, a_y=a_y)
     motion[0, MOTION.index("a_y")] = 0.0
-    roll = LEAN * a_y * (1.0 - np.exp(-(k + 1) / (RATE * lag)))
+    roll = LEAN * a_y * answer_to_a_rise(60, lag)
     y = measured(motion, body_roll_gradient=LEAN, body_roll_lag=lag)
-    assert y[A_Y, 1:] == pytest.approx(a_y * np.cos(roll) + G * np.sin(roll), rel=1e-12)
+    assert y[A_Y, 1:] == pytest.approx(a_y * np.cos(roll[1:]) + G * np.sin(roll[1:]), rel=1e-12)
     assert y[A_Y, 0] == 0.0
 
 
@@ -198,12 +207,12 @@ def test_biases_are_added_to_their_own_channel() -> None:
 
 
 @pytest.mark.parametrize("group", range(len(GROUPS)))
-def test_lagging_sensors_answer_a_step_by_1_minus_exp(group: int) -> None:
-    # A signal held over each sample: 1 - exp(-t/T) at the samples, to the rounding of fifty steps.
+def test_lagging_sensors_follow_a_rise_as_a_first_order_lag(group: int) -> None:
+    # A signal linear between samples, to the rounding of fifty steps of numbers below T/dt = 16.
     T, signal, out = 0.08, np.ones(51), np.empty(51)
     signal[0] = 0.0
     report(record_of(RIGID, **{f"sensor_lag_{GROUPS[group]}": T})[0], signal, group, RATE, out)
-    assert out == pytest.approx(1.0 - np.exp(-np.arange(51) / RATE / T), rel=0.0, abs=50 * EPS)
+    assert out == pytest.approx(answer_to_a_rise(50, T), rel=0.0, abs=50 * 16 * EPS)
 
 
 @pytest.mark.parametrize("group", range(len(GROUPS)))

@@ -74,12 +74,19 @@ def steered(command: np.ndarray, **fields: float) -> np.ndarray:
     return out
 
 
-def test_lagging_steering_answers_a_step_by_1_minus_exp() -> None:
-    # A command held over each sample: the continuous answer at the samples, to the rounding of a hundred steps.
-    T, command = 0.12, np.ones(101)
-    command[0] = 0.0
-    expected = 1.0 - np.exp(-np.arange(101) / RATE / T)
-    assert steered(command, steering_lag_time=T) == pytest.approx(expected, rel=0.0, abs=100 * EPS)
+def test_lagging_steering_trails_a_ramp_by_its_lag() -> None:
+    # A command linear between samples: t - T (1 - exp(-t/T)) for a ramp from rest, to the rounding of a hundred steps.
+    T, t = 0.12, np.arange(101) / RATE
+    expected = t - T * (1.0 - np.exp(-t / T))
+    assert steered(t, steering_lag_time=T) == pytest.approx(expected, rel=0.0, abs=100 * EPS)
+
+
+def test_lag_far_below_a_sample_takes_itself_times_the_slope_off() -> None:
+    # exp(-5) of a lag a fifth of a sample is left of where it comes from, so the effect is linear in the lag.
+    T, t = 0.2 / RATE, np.arange(10) / RATE
+    behind = t - steered(t, steering_lag_time=T)
+    assert behind[1:] == pytest.approx(T * np.ones(9), rel=math.exp(-5.0) + 1e-12)
+    assert np.array_equal(steered(t, steering_lag_time=0.0), t)
 
 
 def test_dead_band_is_play() -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise, MeasurementNoise, ProportionalNoise, from_residual
 from vehicle_sbi.data.readers import RecordingFile
@@ -16,13 +17,14 @@ from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import nominal_record
 from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS
-from vehicle_sbi.physics.simulation import MODELS, substeps_for
+from vehicle_sbi.physics.simulation import MODELS, fastest_rate, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.rng import Stream, generator
 
 Noise = ProportionalNoise | ConstantNoise | EstimatedNoise
 FIRST_SUBSTEPS = 4  # before the slowest speed is known, which decides their number
+CORNERS = 7  # from which the fastest mode in the prior is sought, beside its centre
 STARTS = 3  # of the fit under which noise is estimated
 NOISE_ROUNDS = 8  # of fit and estimate at most
 
@@ -84,11 +86,9 @@ class Setup:
             substeps=FIRST_SUBSTEPS,
             seed=self.seed,
         )
-        corners = np.stack([space.low, (space.low + space.high) / 2, space.high])
-        records = space.records(corners, simulator.nominal)
-        return replace(
-            simulator, substeps=substeps_for(records, self.drive, _slowest(simulator), windows.rate, model=self.model)
-        )
+        v_min = _slowest(simulator)
+        records = space.records(_fastest_corners(simulator, v_min), simulator.nominal)
+        return replace(simulator, substeps=substeps_for(records, self.drive, v_min, windows.rate, model=self.model))
 
 
 def _slowest(simulator: Simulator) -> float:
@@ -97,6 +97,33 @@ def _slowest(simulator: Simulator) -> float:
     space = simulator.space
     speeds = probe.noise_free((space.low + space.high)[None] / 2)
     return float(np.nanmin(speeds)) if np.isfinite(speeds).any() else 1.0
+
+
+def _fastest_corners(simulator: Simulator, v_min: float) -> Float[np.ndarray, "starts d"]:
+    """Corners of the prior's box with the fastest modes, by ascent along one parameter after the other.
+
+    Each start ends where no single parameter makes it faster. Several starts, because a car is quickest to turn about
+    either of its axles, and no single parameter leads from one to the other.
+    """
+    space, nominal, rng = simulator.space, simulator.nominal, generator(seed=0, stream=Stream.STUDY)
+
+    def rates(theta: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
+        records = space.records(theta, nominal)
+        found = np.array([fastest_rate(record, simulator.drive, v_min, simulator.model) for record in records])
+        return np.where(np.isnan(found), -np.inf, found)  # no such car
+
+    def ascended(theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+        reached = -np.inf
+        while (fastest := rates(theta[None])[0]) > reached:
+            reached = fastest
+            for i, ends in enumerate(zip(space.low, space.high, strict=True)):
+                pair = np.tile(theta, (2, 1))
+                pair[:, i] = ends
+                theta = pair[np.argmax(rates(pair))]
+        return theta
+
+    corners = np.where(rng.random((CORNERS, len(space))) < 0.5, space.low, space.high)
+    return np.array([ascended(theta) for theta in ((space.low + space.high) / 2, *corners)])
 
 
 def noise_under_model(simulator: Simulator, observed: np.ndarray, windows: Windows) -> MeasurementNoise:

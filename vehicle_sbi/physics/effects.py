@@ -263,9 +263,15 @@ def interpolate(signal, position: float) -> float:
 
 
 @compiled
-def follow(lag: float, rate: float) -> float:
-    """Share of the way to its input that a first-order lag [s] goes in a sample; 1 without a lag."""
-    return 1.0 - math.exp(-1.0 / (rate * lag)) if lag > 0.0 else 1.0
+def lagged(y: float, before: float, now: float, lag: float, rate: float) -> float:
+    """A first-order lag [s] a sample after `y`, exactly, its input linear from `before` to `now`; `now` without a lag.
+
+    lag dy/dt = u - y has y = u - lag du/dt as its particular solution on a straight line u.
+    """
+    if lag <= 0.0:
+        return now
+    trailing = rate * lag * (now - before)
+    return now - trailing + math.exp(-1.0 / (rate * lag)) * (y - before + trailing)
 
 
 @compiled
@@ -291,9 +297,9 @@ def steering_delay(p, command, k: int, rate: float) -> float:
 
 
 @compiled
-def steering_lag(p, delta: float, command: float, rate: float) -> float:
-    """The angle [rad] a sample after `delta` on its way to the command, a first-order lag of `time`."""
-    return delta + follow(p.steering_lag_time, rate) * (command - delta)
+def steering_lag(p, delta: float, before: float, command: float, rate: float) -> float:
+    """The angle [rad] a sample after `delta`, a first-order lag of `time` behind a command linear between samples."""
+    return lagged(delta, before, command, p.steering_lag_time, rate)
 
 
 @compiled
@@ -318,11 +324,11 @@ def steering_offset(p, delta: float) -> float:
 @compiled_apart
 def steer(p, command, rate: float, out) -> None:
     """Fill `out` with what the front wheels do [rad] on a command (time,): the steering effects in their order."""
-    lagged = played = steering_delay(p, command, 0, rate)
+    before = angle = played = steering_delay(p, command, 0, rate)
     for k in range(len(command)):
         delayed = steering_delay(p, command, k, rate)
-        lagged = steering_lag(p, lagged, delayed, rate) if p.steering_lag_time > 0.0 else delayed
-        played = steering_dead_band(p, played, lagged)
+        angle = steering_lag(p, angle, before, delayed, rate)
+        before, played = delayed, steering_dead_band(p, played, angle)
         out[k] = steering_offset(p, steering_ratio(p, played))
 
 

@@ -7,7 +7,7 @@ a raised left side and a leaning body each leave g times the sine of their angle
 import math
 
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import follow, interpolate, road_bank, road_grade
+from vehicle_sbi.physics.effects import interpolate, lagged, road_bank, road_grade
 from vehicle_sbi.physics.vehicle import GRAVITY
 
 # Columns of the motion that the integrator records at each sample: that of the body's centre of gravity, its attitude
@@ -62,15 +62,17 @@ def imu_misalignment(p, f_x: float, f_y: float, f_z: float) -> tuple[float, floa
 
 
 @compiled
-def body_roll(p, roll: float, a_y: float, rate: float) -> float:
-    """Roll angle [rad] a sample after `roll`, gradient * a_y behind a first-order lag."""
-    return roll + follow(p.body_roll_lag, rate) * (p.body_roll_gradient * a_y - roll)
+def body_roll(p, roll: float, before: float, a_y: float, rate: float) -> float:
+    """Roll angle [rad] a sample after `roll`, gradient * a_y behind a first-order lag; a_y was `before` then."""
+    gradient = p.body_roll_gradient
+    return lagged(roll, gradient * before, gradient * a_y, p.body_roll_lag, rate)
 
 
 @compiled
-def body_pitch(p, pitch: float, a_x: float, rate: float) -> float:
+def body_pitch(p, pitch: float, before: float, a_x: float, rate: float) -> float:
     """Pitch angle [rad], nose down, a sample after `pitch`: -gradient * a_x behind a first-order lag."""
-    return pitch + follow(p.body_pitch_lag, rate) * (-p.body_pitch_gradient * a_x - pitch)
+    gradient = -p.body_pitch_gradient
+    return lagged(pitch, gradient * before, gradient * a_x, p.body_pitch_lag, rate)
 
 
 @compiled
@@ -105,7 +107,9 @@ def measure(p, motion, t, rate: float, y) -> None:
     for k in range(motion.shape[0]):
         a_x, a_y, r = motion[k, A_X], motion[k, A_Y], motion[k, R]
         w_x, w_y = motion[k, P], motion[k, Q]
-        lean, dive = body_roll(p, lean, a_y, rate), body_pitch(p, dive, a_x, rate)
+        earlier = max(k - 1, 0)
+        lean = body_roll(p, lean, motion[earlier, A_Y], a_y, rate)
+        dive = body_pitch(p, dive, motion[earlier, A_X], a_x, rate)
         f_x, f_y, f_z = lever_arm(p, a_x, a_y, w_x, w_y, r, motion[k, P_DOT], motion[k, Q_DOT], motion[k, R_DOT])
         g_x, g_y = road_grade(p, t[k]), road_bank(p)
         f_x, f_y, f_z = f_x + g_x, f_y + g_y, f_z + math.sqrt(GRAVITY * GRAVITY - g_x * g_x - g_y * g_y)
@@ -147,9 +151,9 @@ def report(p, signal, group: int, rate: float, out) -> None:
     """Write one channel (time,) to `out` as its group of sensors reports it: through its lag, then later."""
     lag, shift = sensor_lag(p, group), sensor_delay(p, group) * rate
     if lag > 0.0:
-        share, value = follow(lag, rate), signal[0]
+        before = value = signal[0]
         for k in range(len(signal)):
-            value += share * (signal[k] - value)
-            signal[k] = value
+            value = lagged(value, before, signal[k], lag, rate)
+            before, signal[k] = signal[k], value
     for k in range(len(signal)):
         out[k] = signal[k] if shift == 0.0 else interpolate(signal, k - shift)
