@@ -86,12 +86,12 @@ class Setup:
             substeps=FIRST_SUBSTEPS,
             seed=self.seed,
         )
-        v_min = _slowest(simulator)
+        v_min = slowest(simulator)
         records = space.records(_fastest_corners(simulator, v_min), simulator.nominal)
         return replace(simulator, substeps=substeps_for(records, self.drive, v_min, windows.rate, model=self.model))
 
 
-def _slowest(simulator: Simulator) -> float:
+def slowest(simulator: Simulator) -> float:
     """The lowest speed [m/s] at the prior's centre, which has the fastest modes."""
     probe = replace(simulator, windows=replace(simulator.windows, channels=("v_x",), groups=("can",)))
     space = simulator.space
