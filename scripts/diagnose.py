@@ -20,7 +20,7 @@ def main(cfg: DictConfig) -> None:
     case = diagnosis.prepare()
     with run_folder(cfg, inputs=case.inputs) as folder:
         if not folder.finished:
-            diagnose(folder, case, seed=cfg.seed)
+            diagnose(folder, case, seed=cfg.seed, figures=cfg.figures)
         show(folder)
 
 

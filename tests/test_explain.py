@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from recorded import fitted, lateral, recorded
 
+from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.explain import Explanation, explain
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.verdict import estimates, places
 
 
 def explained(observation: Observation) -> Explanation:
-    return explain(observation, fitted(observation), rng=np.random.default_rng(0))
+    base = fitted(observation)
+    return explain(base, left_out(base.simulator, base.theta), rng=np.random.default_rng(0))
 
 
 def test_nothing_is_said_where_nothing_is_missing() -> None:

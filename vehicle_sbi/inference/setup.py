@@ -69,8 +69,13 @@ class Setup:
             wheel_radius=self.vehicle.R_f,
         )
 
-    def simulator(self, space: ParameterSpace, windows: Windows, *, uniform_start: bool) -> Simulator:
-        """The vehicle driven through these windows; InputError for a channel that the model does not predict."""
+    def simulator(
+        self, space: ParameterSpace, windows: Windows, *, uniform_start: bool, stiffest: float = 1.0
+    ) -> Simulator:
+        """The vehicle driven through these windows, `stiffest` the largest step times rate that the integrator takes.
+
+        Raises InputError for a channel that the model does not predict.
+        """
         unseen = [name for name in windows.channels if name in BODY_MEASUREMENTS and self.model != "full_vehicle"]
         if unseen:
             raise InputError(f"model={self.model}: it does not predict {', '.join(unseen)}; model=full_vehicle does")
@@ -88,7 +93,8 @@ class Setup:
         )
         v_min = slowest(simulator)
         records = space.records(_fastest_corners(simulator, v_min), simulator.nominal)
-        return replace(simulator, substeps=substeps_for(records, self.drive, v_min, windows.rate, model=self.model))
+        steps = substeps_for(records, self.drive, v_min, windows.rate, limit=stiffest, model=self.model)
+        return replace(simulator, substeps=steps)
 
 
 def slowest(simulator: Simulator) -> float:

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
-from vehicle_sbi.mismatch.candidates import Direction, left_out, null, shapes, slopes, within
+from vehicle_sbi.mismatch.candidates import Direction, null, shapes, slopes, within
 from vehicle_sbi.mismatch.detect import Linearised, Scores, profile, score
-from vehicle_sbi.mismatch.fit import Fit, Observation, descend, with_own_noise
+from vehicle_sbi.mismatch.fit import Fit, descend, with_own_noise
 from vehicle_sbi.mismatch.locate import Block, blocks
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -100,10 +100,12 @@ class Version:
     score: float
 
 
-def examine(model: Model, rng: np.random.Generator) -> Examined:
-    """Scores of all that a model leaves out."""
+def examine(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Examined:
+    """Scores of all that a model leaves out of the directions that are known."""
     simulator, theta = model.fit.simulator, model.fit.theta
-    found = [shape for direction in left_out(simulator, theta) for shape in shapes(simulator, direction)]
+    fitted = set(simulator.space.names)
+    free = [d for d in known if d.parameter.name not in fitted and not fitted & {p.name for p in d.held}]
+    found = [shape for direction in free for shape in shapes(simulator, direction)]
     places, bumps = blocks(simulator, model.fit.at.y)
     changes = np.concatenate([slopes(simulator, theta, found), bumps])
     far = np.full(len(places), np.inf)
@@ -213,10 +215,10 @@ class Explanation:
         return kept
 
 
-def explain(observation: Observation, base: Fit, *, rng: np.random.Generator) -> Explanation:
-    """Search sets of effects from the base model on."""
+def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) -> Explanation:
+    """Search sets of effects from the base model on, among the directions that are known to act at its fit."""
     none = Model((), base, 0.0)
-    first = examine(none, rng)
+    first = examine(none, known, rng)
     pool, best = {(): none}, first
     frontier = [first] if first.scores.p_value < LEVEL else []
     for _ in range(MOST_EFFECTS):
@@ -227,10 +229,10 @@ def explain(observation: Observation, base: Fit, *, rng: np.random.Generator) ->
         leading = sorted(grown.values(), key=_weight, reverse=True)[:BEAM]
         if not leading or _weight(leading[0]) <= _weight(best.model):
             break
-        best = examine(leading[0], rng)
+        best = examine(leading[0], known, rng)
         if best.scores.p_value > LEVEL:
             break
-        frontier = [best, *(examine(model, rng) for model in leading[1:])]
+        frontier = [best, *(examine(model, known, rng) for model in leading[1:])]
     return _judge(pool, first, best)
 
 

@@ -10,6 +10,7 @@ All of it follows from the simulator, before the data are looked at. With J the 
     absorbed = (J'J + P)^-1 J'g        how far the fitted parameters move instead, per unit of the effect
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ from scipy.stats import norm
 
 from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch.candidates import left_out, null, slopes
+from vehicle_sbi.mismatch.candidates import Direction, left_out, null, slopes
 from vehicle_sbi.parameters import Parameter
 
 LEVEL, POWER = 0.05, 0.8
@@ -64,9 +65,10 @@ class Card:
         return sorted((group for group in sets if len(group) > 1), key=len, reverse=True)
 
 
-def card(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> Card:
-    """What the recording behind `simulator` could show if the car is as theta says."""
-    at, found = sensitivity(simulator, theta), left_out(simulator, theta)
+def card(simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[Direction] | None = None) -> Card:
+    """What the recording behind `simulator` could show if the car is as theta says; `found` are all directions there,
+    where they are known already."""
+    at, found = sensitivity(simulator, theta), left_out(simulator, theta) if found is None else found
     noise, valid = simulator.noise, simulator.windows.valid
     std = noise.std(at.y)
 

@@ -10,6 +10,7 @@ import pandas as pd
 import yaml
 
 from vehicle_sbi.files import write_atomically, write_text
+from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.explain import Explanation, explain
 from vehicle_sbi.mismatch.fit import Fit, best
@@ -26,16 +27,19 @@ STARTS = 3  # of the fit of the base model
 Result = TypeVar("Result")
 
 
-def diagnose(folder: RunFolder, case: Case, *, seed: int) -> None:
+def diagnose(folder: RunFolder, case: Case, *, seed: int, figures: bool) -> None:
     """All stages, each kept on disk once it is done, then everything that is written for the user."""
     rng = generator(seed=seed, stream=Stream.STUDY, index=2)
     base = _kept(folder, "fit", lambda: fitted(case, rng))
-    seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta))
-    found = _kept(folder, "explanation", lambda: explain(case.observation, base, rng=rng))
+    known = _kept(folder, "directions", lambda: left_out(base.simulator, base.theta))
+    seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta, known))
+    found = _kept(folder, "explanation", lambda: explain(base, known, rng=rng))
     with folder.stage("report"):
         predictions, gained = compared(case, found)
         answer = verdict(case, found, predictions, gained, seen)
-        write(folder, case, found, predictions, answer, seen)
+        write(folder, found, answer)
+        if figures:
+            write_report(folder, case, found, predictions, answer, seen)
     folder.complete()
 
 
@@ -66,13 +70,17 @@ def _kept(folder: RunFolder, name: str, compute: Callable[[], Result]) -> Result
     return pickle.loads(path.read_bytes())
 
 
-def write(
+def write(folder: RunFolder, found: Explanation, answer: Verdict) -> None:
+    """The answer and the extended model."""
+    write_text(folder.path / "verdict.json", json.dumps(answer.as_json(), indent=2) + "\n")
+    write_text(folder.path / "extended.yaml", extended(found))
+
+
+def write_report(
     folder: RunFolder, case: Case, found: Explanation, predictions: dict[str, Prediction], answer: Verdict, seen: Card
 ) -> None:
-    """Everything into the run folder."""
+    """Pictures and the page."""
     path = folder.path
-    write_text(path / "verdict.json", json.dumps(answer.as_json(), indent=2) + "\n")
-    write_text(path / "extended.yaml", extended(folder.manifest["config"], found))
     figures = path / "figures"
     figures.mkdir(exist_ok=True)
     pictures = {
@@ -162,7 +170,7 @@ def _card(seen: Card) -> pd.DataFrame:
     )
 
 
-def extended(config: dict[str, Any], found: Explanation) -> str:
+def extended(found: Explanation) -> str:
     """A configuration of scripts/run.py for the extended model, its parameters free in the boxes that were searched."""
     model = chosen(found)
     space = model.fit.simulator.space
@@ -185,4 +193,5 @@ def show(folder: RunFolder) -> None:
         print(answer["separating_experiment"])
     print()
     for name in ("verdict.json", "extended.yaml", "report.html"):
-        print(folder.path / name)
+        if (folder.path / name).exists():
+            print(folder.path / name)
