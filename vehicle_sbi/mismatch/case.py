@@ -16,6 +16,7 @@ from vehicle_sbi.parameters import ParameterSpace
 HELD_OUT = 0.25  # share of the recordings' time that is held out where no recording is
 MOST_WINDOWS = 40  # into which recordings are cut for fitting; longer ones get longer windows
 STIFFEST = 2.0  # step times rate: modes this fast are stable (to 2.78) and gone within a sample, at half the cost
+START = 2.0  # times what smoothing leaves over, which lacks the slow part of autocorrelated noise, is a start's spread
 NO_DRAWS = DrawnProcessNoise(Mixture(np.zeros(0), np.zeros(0)), Mixture(np.zeros(0), np.zeros(0)), False)
 
 
@@ -84,6 +85,7 @@ class Diagnosis(Setup):
         """The recordings as one observation, simulated with the same step as another one where `like` is given."""
         parts = [self.windows(recording, file) for file, recording in pairs]
         windows: Windows = joined(parts, [recording.name for _, recording in pairs])
+        windows = replace(windows, x0_std=START * windows.x0_std)
         simulator = self.simulator(space, windows, uniform_start=False, stiffest=STIFFEST)
         simulator = replace(simulator, process=NO_DRAWS)
         if like is not None:

@@ -16,6 +16,7 @@ null of the largest of any set comes from noise that is drawn, fitted and scored
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +26,7 @@ from vehicle_sbi.data.noise import LARGEST_RHO
 from vehicle_sbi.mismatch.fit import Fit
 
 DRAWS = 1000  # of noise, behind a p-value
+CHUNK = 100  # of them at once
 ITERATIONS = 6  # of sizes and noise, in turn
 LEAST_VARIANCE = 1e-18
 
@@ -76,11 +78,12 @@ def _log_mass(low: Float[np.ndarray, " k"], high: Float[np.ndarray, " k"]) -> Fl
 
 @dataclass(frozen=True)
 class Linearised:
-    """A fit at first order: residual, what parameters and initial states do (m, channels, time), and the neighbouring
-    valid samples of each channel."""
+    """A fit at first order: residual, what parameters and then initial states do (m, channels, time), how many of the
+    latter there are, and the neighbouring valid samples of each channel."""
 
     fit: Fit
     J: Float[np.ndarray, "m channels time"]
+    states: int
     residual: Float[np.ndarray, "1 channels time"]
     pairs: Sequence[np.ndarray]
 
@@ -95,7 +98,7 @@ class Linearised:
         same = np.arange(1, windows.valid.shape[1]) % length > 0
         pairs = [1 + np.flatnonzero(valid[1:] & valid[:-1] & same) for valid in windows.valid]
         J = np.concatenate([fit.at.J[fit.inside], states])
-        return cls(fit, np.nan_to_num(J), fit.residual[None], pairs)
+        return cls(fit, np.nan_to_num(J), len(states), fit.residual[None], pairs)
 
     def products(self, x: Float[np.ndarray, "i channels time"], y: Float[np.ndarray, "j channels time"]) -> Products:
         """Sums over neighbouring samples of x y now, x y a sample earlier, and across (symmetric)."""
@@ -104,6 +107,26 @@ class Linearised:
             a, b, before_a, before_b = x[:, c, now], y[:, c, now], x[:, c, now - 1], y[:, c, now - 1]
             out[:, c] = a @ b.T, before_a @ before_b.T, 0.5 * (a @ before_b.T + before_a @ b.T)
         return out
+
+    @cached_property
+    def _weight(self) -> Float[np.ndarray, "3 channels"]:
+        """Of the three kinds of products in the information, under the fit's noise."""
+        noise = self.fit.simulator.noise
+        innovation = self.fit.metric.std.mean(axis=1) ** 2 * (1.0 - noise.rho**2)
+        return np.stack([np.ones_like(noise.rho), noise.rho**2, -2.0 * noise.rho]) / innovation
+
+    def absorbed(self, series: Float[np.ndarray, "k channels time"]) -> Float[np.ndarray, "k channels time"]:
+        """What the fit leaves of some series once parameters and initial states have taken what they can."""
+        H = np.einsum("tc,tcij->ij", self._weight, self.products(self.J, self.J)) + np.eye(len(self.J))
+        taken = np.linalg.solve(H, np.einsum("tc,tcij->ij", self._weight, self.products(self.J, series)))
+        return series - np.tensordot(taken.T, self.J, axes=1)
+
+    def drawn(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n channels time"]:
+        """Noise and initial states under the fit, zero where nothing was measured."""
+        noise, shape = self.fit.simulator.noise, self.fit.at.y.shape
+        e = np.stack([noise.sample(shape, rng) for _ in range(n)]) * self.fit.metric.std
+        e += np.tensordot(rng.standard_normal((n, self.states)), self.J[len(self.J) - self.states :], axes=1)
+        return np.where(self.fit.simulator.windows.valid, e, 0.0)
 
 
 @dataclass(frozen=True)
@@ -186,21 +209,31 @@ def score(
     each = profile(about, changes[:, None], low[:, None], high[:, None])
     gain = np.maximum(each.log_likelihood - none.log_likelihood, 0.0)
     information = np.maximum(each.information[:, 0, 0], 1e-12)
-    return Scores(gain, each.size[:, 0], information, low, high, _null(fit, changes, low, high, rng, draws))
+    return Scores(gain, each.size[:, 0], information, low, high, _null(about, changes, low, high, rng, draws))
 
 
 def _null(
-    fit: Fit, changes: np.ndarray, low: np.ndarray, high: np.ndarray, rng: np.random.Generator, draws: int
+    about: Linearised,
+    changes: Float[np.ndarray, "k channels time"],
+    low: np.ndarray,
+    high: np.ndarray,
+    rng: np.random.Generator,
+    draws: int,
 ) -> Float[np.ndarray, "draws k"]:
-    """Absolute scores of drawn noise after the fit has absorbed what it can."""
-    metric, free = fit.metric, fit.inside
-    J = metric(fit.at.J)[free].reshape(int(free.sum()), -1)
-    G = metric(changes).reshape(len(changes), -1)
-    GM = (G - (G @ J.T) @ np.linalg.solve(J @ J.T + np.eye(len(J)), J)).astype(np.float32)
-    information = np.maximum(np.einsum("kt,kt->k", GM, G), 1e-12)
-    noise = rng.standard_normal((draws, GM.shape[1]), dtype=np.float32)
-    noise *= metric.valid.reshape(-1)
-    z = (noise @ GM.T).astype(float) / np.sqrt(information)
-    std = np.sqrt(information)
-    size = np.clip(z, low * std, high * std)  # in standard deviations
-    return np.sqrt(np.maximum(z**2 - (z - size) ** 2, 0.0))
+    """Absolute scores of drawn noise, after the fit has absorbed what it can and the noise has been estimated again."""
+    G = about.absorbed(np.nan_to_num(changes))
+    gg = np.stack([about.products(g[None], g[None])[..., 0, 0] for g in G], axis=-1)  # (3, channels, k)
+    count = np.array([max(len(pair), 1) for pair in about.pairs])[:, None]
+    found = []
+    for n in np.diff([*range(0, draws, CHUNK), draws]):
+        e = about.absorbed(about.drawn(int(n), rng))
+        now, before, across = np.stack([about.products(one[None], one[None])[..., 0, 0] for one in e], axis=-1)
+        rho = np.clip(across / np.maximum(before, LEAST_VARIANCE), 0.0, LARGEST_RHO)
+        S = np.maximum((now - 2.0 * rho * across + rho**2 * before) / count, LEAST_VARIANCE)
+        weight = np.stack([np.ones_like(rho), rho**2, -2.0 * rho]) / S  # (3, channels, draws)
+        b = np.einsum("tcn,tcnk->nk", weight, about.products(e, G))
+        std = np.sqrt(np.maximum(np.einsum("tcn,tck->nk", weight, gg), 1e-12))
+        z = b / std
+        size = np.clip(z, low * std, high * std)  # in standard deviations
+        found.append(np.sqrt(np.maximum(z**2 - (z - size) ** 2, 0.0)))
+    return np.concatenate(found)
