@@ -1,0 +1,110 @@
+"""What lies before and behind the twin's equations: command effects and sensor effects, coded apart from the tool's.
+
+Names and meanings of effects and parameters are the catalogue's, so that a verdict can be held against them.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.physics.vehicle import GRAVITY
+
+Parameters = Mapping[str, float]
+Effects = Mapping[str, Parameters]
+Series = dict[str, np.ndarray]
+
+COMMAND_EFFECTS = (
+    "steering_delay", "steering_lag", "steering_dead_band", "steering_ratio", "steering_offset",
+    "drive_gain", "brake_gain", "brake_balance", "drive_delay",
+)  # fmt: skip
+SENSOR_EFFECTS = (
+    "body_roll", "body_pitch", "imu_lever_arm", "imu_misalignment", "accelerometer_scale", "accelerometer_bias",
+    "gyro_scale", "gyro_bias", "sensor_lag", "sensor_delay",
+)  # fmt: skip
+
+
+def later(x: np.ndarray, t: np.ndarray, delay: float) -> np.ndarray:
+    return np.interp(t - delay, t, x) if delay > 0.0 else x
+
+
+def lagged(x: np.ndarray, t: np.ndarray, tau: float) -> np.ndarray:
+    """A first-order lag, settled at the first sample, its input held over each sample."""
+    if tau <= 0.0:
+        return x
+    share = -np.expm1(-(t[1] - t[0]) / tau)
+    return x[0] + np.asarray(lfilter([share], [1.0, share - 1.0], x - x[0]))
+
+
+def with_play(x: np.ndarray, width: float) -> np.ndarray:
+    y = x.copy()
+    for k in range(1, len(x)):
+        y[k] = np.clip(y[k - 1], x[k] - width / 2, x[k] + width / 2)
+    return y
+
+
+def steered(delta: np.ndarray, t: np.ndarray, effects: Effects, gain: float = 1.0) -> np.ndarray:
+    """The road-wheel angle [rad] that a commanded one leads to; `gain` is the steering's own."""
+    delta = later(delta, t, effects.get("steering_delay", {}).get("time", 0.0))
+    delta = lagged(delta, t, effects.get("steering_lag", {}).get("time", 0.0))
+    delta = with_play(delta, effects.get("steering_dead_band", {}).get("width", 0.0))
+    delta = gain * delta * effects.get("steering_ratio", {}).get("gain", 1.0)
+    return delta + effects.get("steering_offset", {}).get("angle", 0.0)
+
+
+def driven(front: np.ndarray, rear: np.ndarray, t: np.ndarray, effects: Effects) -> tuple[np.ndarray, np.ndarray]:
+    """The axle torques [N m] that commanded ones lead to."""
+    delay = effects.get("drive_delay", {}).get("time", 0.0)
+    front, rear = later(front, t, delay), later(rear, t, delay)
+    braking = (front <= 0.0) & (rear <= 0.0)
+    moved = effects.get("brake_balance", {}).get("shift", 0.0) * np.where(braking, front + rear, 0.0)
+    drive, brake = effects.get("drive_gain", {}).get("gain", 1.0), effects.get("brake_gain", {}).get("gain", 1.0)
+    front, rear = front + moved, rear - moved
+    return np.where(front > 0, drive, brake) * front, np.where(rear > 0, drive, brake) * rear
+
+
+def sensed(motion: Series, t: np.ndarray, effects: Effects) -> Series:
+    """What sensors report of motion (a_x, a_y, yaw_rate, r_dot, g_x, g_y, wheel speeds, v_x, v_y) on a level platform.
+
+    Specific force is acceleration minus gravity; g_x and g_y are what a climbing or banked road adds to it.
+    """
+    r, r_dot = motion["yaw_rate"], motion["r_dot"]
+    arm = effects.get("imu_lever_arm", {})
+    x, y = arm.get("x", 0.0), arm.get("y", 0.0)
+    roll, pitch = effects.get("body_roll", {}), effects.get("body_pitch", {})
+    phi = lagged(roll.get("gradient", 0.0) * motion["a_y"], t, roll.get("lag", 0.0))
+    theta = lagged(pitch.get("gradient", 0.0) * motion["a_x"], t, pitch.get("lag", 0.0))
+    f = np.stack(
+        [
+            motion["a_x"] - r_dot * y - r**2 * x + motion["g_x"] + GRAVITY * np.sin(theta),
+            motion["a_y"] + r_dot * x - r**2 * y + motion["g_y"] + GRAVITY * np.sin(phi),
+            np.full(len(t), GRAVITY),
+        ]
+    )
+    turned = effects.get("imu_misalignment", {})
+    if turned:
+        angles = [turned.get(axis, 0.0) for axis in ("yaw", "pitch", "roll")]
+        into = Rotation.from_euler("ZYX", angles).inv()
+        f, r = into.apply(f.T).T, into.apply(np.outer(r, [0.0, 0.0, 1.0])).T[2]
+    reported = {name: motion[name] for name in ("v_x", "v_y", "wheel_speed_front", "wheel_speed_rear")}
+    reported |= {"a_x": f[0], "a_y": f[1], "yaw_rate": r}
+    return changed(reported, t, effects)
+
+
+def changed(reported: Series, t: np.ndarray, effects: Effects) -> Series:
+    """Readings behind scales, biases, lags and delays of their sensors."""
+    out = dict(reported)
+    for axis in "xy":
+        if f"a_{axis}" in out:
+            scale, bias = (effects.get(f"accelerometer_{kind}", {}).get(axis) for kind in ("scale", "bias"))
+            out[f"a_{axis}"] = (1.0 if scale is None else scale) * out[f"a_{axis}"] + (bias or 0.0)
+    if "yaw_rate" in out:
+        scale = effects.get("gyro_scale", {}).get("z", 1.0)
+        out["yaw_rate"] = scale * out["yaw_rate"] + effects.get("gyro_bias", {}).get("z", 0.0)
+    for name in out:
+        group = CHANNELS[name].group
+        slow = lagged(out[name], t, effects.get("sensor_lag", {}).get(group, 0.0))
+        out[name] = later(slow, t, effects.get("sensor_delay", {}).get(group, 0.0))
+    return out

@@ -1,0 +1,106 @@
+"""The benchmark as a run: build cases, have each diagnosed in a process of its own, score, and write the results.
+
+What stands on disk is not done again, so the same command continues after an interruption. A diagnosis is handed files
+and words of a command line, nothing else.
+"""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from datetime import date
+from multiprocessing import get_context
+from pathlib import Path
+
+import pandas as pd
+import yaml
+from tqdm import tqdm
+
+from concealed import baselines, cases, injected, scores
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.files import write_text
+from vehicle_sbi.physics.effects import CATALOGUE
+
+ROOT = Path(__file__).resolve().parents[2]
+ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+def diagnose(case: Path, script: Path, timeout_s: float) -> None:
+    """CASE/diagnosis/verdict.json, unless it stands already; CASE/run.json says how long it took and how it ended."""
+    verdict = case / "diagnosis" / "verdict.json"
+    if verdict.exists() or not script.exists():
+        return
+    words = yaml.safe_load((case / "case.yaml").read_text())["overrides"]
+    command = [sys.executable, str(script), *words, "figures=false", f"hydra.run.dir={case / 'diagnosis'}"]
+    begun = time.monotonic()
+    try:
+        done = subprocess.run(
+            command, cwd=ROOT, env=os.environ | ONE_THREAD, capture_output=True, text=True, timeout=timeout_s
+        )
+        status, output = done.returncode, done.stdout + done.stderr
+    except subprocess.TimeoutExpired:
+        status, output = -1, f"stopped after {timeout_s:g} s"
+    write_text(case / "diagnose.log", output)
+    write_text(case / "run.json", json.dumps({"seconds": time.monotonic() - begun, "status": status}))
+
+
+def work(folder: Path, seed: int, index: int, stages: Mapping[str, bool], script: Path, timeout_s: float) -> str:
+    """One case through the stages that are asked for; what went wrong, or nothing."""
+    case = folder / "cases" / f"{index:04d}"
+    try:
+        cases.build(seed, index, folder, injected.build, list(injected.INJECTED))
+        if stages["baselines"]:
+            baselines.write(case)
+    except (InputError, RuntimeError) as error:
+        return f"case {index}: {error}"
+    if stages["diagnose"]:
+        diagnose(case, script, timeout_s)
+        if not (case / "diagnosis" / "verdict.json").exists():
+            return f"case {index}: no verdict; {case / 'diagnose.log'} says why"
+    return ""
+
+
+def gather(folder: Path, n: int) -> pd.DataFrame:
+    """A row for each case that is built."""
+    built = [i for i in range(n) if (folder / "cases" / f"{i:04d}" / "case.yaml").exists()]
+    return pd.DataFrame([scores.row(folder, i) for i in built])
+
+
+def machine(workers: int) -> str:
+    where = f"{date.today()}, {platform.platform()}, {os.cpu_count()} cores"
+    return f"{where}, {workers} diagnoses at a time, one thread each."
+
+
+def prove(
+    *, folder: Path, results: Path, n: int, seed: int, workers: int, stages: Mapping[str, bool], script: Path,
+    timeout_s: float,
+) -> str:  # fmt: skip
+    """Run what is missing, write RESULTS/concealed.csv and .md (with a verdict at least), and return the page."""
+    os.environ |= ONE_THREAD  # read by the workers as they start
+    folder = folder.resolve()
+    seal = folder / "benchmark.json"
+    if seal.exists() and json.loads(seal.read_text())["seed"] != seed:
+        raise InputError(f"{folder} holds cases of another seed; name another folder")
+    write_text(seal, json.dumps({"seed": seed}))
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    try:
+        jobs = [pool.submit(work, folder, seed, i, dict(stages), script, timeout_s) for i in range(n)]
+        with tqdm(total=n, desc="cases", disable=None) as bar:
+            for job in as_completed(jobs):
+                if problem := job.result():
+                    bar.write(problem)
+                bar.update()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    table = gather(folder, n)
+    if table.empty:
+        raise InputError(f"no case could be built in {folder}")
+    page = scores.report(table, machine(workers), len(CATALOGUE))
+    where = results if "detected" in table else folder
+    write_text(where / "concealed.csv", table.to_csv(index=False, float_format="%.6g"))
+    write_text(where / "concealed.md", page)
+    return page

@@ -1,0 +1,41 @@
+"""The concealed-effects benchmark: cases whose truth is sealed, diagnosed from their files alone, and scored.
+
+python scripts/prove.py cases=400 workers=2
+"""
+
+from _entry import CONF, launch  # first: it sets the number of threads
+
+import sys
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from vehicle_sbi.errors import InputError
+
+ROOT = CONF.parent
+
+
+@launch("prove")
+def main(cfg: DictConfig) -> None:
+    sys.path.append(str(ROOT / "benchmarks"))
+    from concealed.campaign import prove
+
+    for name, value in (("cases", cfg.cases), ("workers", cfg.workers)):
+        if not isinstance(value, int) or value < 1:
+            raise InputError(f"{name} = {value!r}; it must be a whole number above 0")
+    print(
+        prove(
+            folder=Path(cfg.folder),
+            results=Path(cfg.results),
+            n=cfg.cases,
+            seed=cfg.seed,
+            workers=cfg.workers,
+            stages={"diagnose": cfg.diagnose, "baselines": cfg.baselines},
+            script=ROOT / cfg.script,
+            timeout_s=cfg.timeout_s,
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()

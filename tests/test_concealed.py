@@ -1,0 +1,245 @@
+"""The concealed-effects benchmark: cases follow from their seed, ratios from projection, scores from verdicts."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from concealed import cases, drives, injected, outside, scores
+from concealed.strength import Given, Noise, Projection, fit, residual, snr
+from concealed.twin import Twin
+from concealed.worlds import OwnModel
+
+from vehicle_sbi.inference.information import best_fit, sensitivity
+from vehicle_sbi.physics.effects import CATALOGUE
+
+RNG = np.random.default_rng(3)
+CAR = drives.car(RNG, relaxed=False, body=False)
+PRIOR = {
+    "C_alpha_f": (0.7 * (CAR.C_alpha_f or 0.0), 1.5 * (CAR.C_alpha_f or 0.0)),
+    "C_alpha_r": (0.7 * (CAR.C_alpha_r or 0.0), 1.5 * (CAR.C_alpha_r or 0.0)),
+    "l_f": ((CAR.l_f or 0.0) - 0.2, (CAR.l_f or 0.0) + 0.2),
+}
+GIVEN = Given(vehicle=CAR, model="single_track", drive="speed", channels=("a_y", "yaw_rate"), prior=PRIOR)
+NOISE = Noise(
+    std={"a_y": 0.1, "yaw_rate": 0.004, "v_x": 0.003}, rho={"a_y": 0.6, "yaw_rate": 0.0, "v_x": 0.0}, tail="normal"
+)
+THETA = np.array([getattr(CAR, name) for name in PRIOR])
+
+
+def plan(**steering: float) -> drives.Plan:
+    """Ten seconds at 20 m/s; steering as a sine of `amplitude` [rad], or a step of `step` [rad] eased in."""
+    t = np.arange(501) / 50.0
+    delta = steering.get("amplitude", 0.0) * np.sin(math.pi * t) * np.clip(t, 0.0, 1.0)
+    delta = delta + steering.get("step", 0.0) * np.clip(t - 1.0, 0.0, 1.0)
+    return drives.Plan(t=t, steering=delta, acceleration=np.zeros_like(t), v_0=20.0, manoeuvre="test")
+
+
+def setup() -> cases.Setup:
+    world = OwnModel(car=CAR, model="single_track", drive_mode="speed", gain=1.0)
+    return cases.Setup(
+        world=world, given=GIVEN, theta=THETA, train=(plan(amplitude=0.02),), heldout=(), noise=NOISE,
+        regime="gentle", truth=CAR, world_name="test",
+    )  # fmt: skip
+
+
+# --- cases ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_block_has_the_stated_mix_and_deals_every_effect_equally_often() -> None:
+    slots = [cases.slot(5, i, list(injected.INJECTED)) for i in range(40 * 13)]
+    kinds = pd.Series([one.kind for one in slots[:40]]).value_counts()
+    assert dict(kinds) == {"single": 16, "none": 12, "outside": 6, "pair": 6}
+    alone = [one.effects[0] for one in slots if one.kind == "single" and one.level != "L2"]
+    times = pd.Series(alone).value_counts()
+    assert set(times.index) == set(CATALOGUE)
+    assert times.max() - times.min() <= 1
+    assert len(outside.OUTSIDE) >= 8
+    assert not set(outside.OUTSIDE) & set(CATALOGUE)
+
+
+def test_a_case_is_a_function_of_seed_and_index_and_its_truth_lies_elsewhere(tmp_path: Path) -> None:
+    index = next(i for i in range(80) if (one := cases.slot(1, i, [])).level == "L0" and one.kind == "none")
+    for folder in (tmp_path / "one", tmp_path / "two"):
+        cases.build(1, index, folder, injected.build, [])
+    name = f"{index:04d}"
+    one, two = (sorted((tmp_path / k / "cases" / name).iterdir()) for k in ("one", "two"))
+    assert [path.name for path in one] == [path.name for path in two]
+    for a, b in zip(one, two, strict=True):
+        assert a.read_text().replace("/one/", "/two/") == b.read_text()
+    assert {path.suffix for path in one} == {".csv", ".yaml"}
+    words = " ".join(path.read_text() for path in one if path.suffix == ".yaml")
+    truth = json.loads((tmp_path / "one" / "sealed" / f"{name}.json").read_text())
+    assert "sealed" not in words
+    assert not any(f"{truth['vehicle'][key]}" in words for key in ("C_alpha_f", "C_alpha_r", "l_f"))
+    before = one[0].stat().st_mtime_ns
+    cases.build(1, index, tmp_path / "one", injected.build, [])
+    assert one[0].stat().st_mtime_ns == before  # what is built is not built again
+
+
+def test_the_sealed_ratio_is_what_projection_on_all_sensitivities_gives() -> None:
+    """M = (I + J'J)^-1 with all of J at once, against the two steps; both exact, so they agree to rounding.
+
+    The initial states' differences have steps of 1e-3 in both, and the same formula.
+    """
+    hidden = cases.Concealment(setup(), 1.0)
+    draft = cases.Draft(name="gyro_scale", scaled={"z": (1.0, 1.2)}, shape={})
+    strength, reached = cases.settle(lambda at: hidden.reach(draft, at), 8.0)
+    assert reached == pytest.approx(8.0, rel=cases.CLOSE)
+    changed = hidden.change({"gyro_scale": draft.at(strength)})
+    assert changed is not None
+    simulator, noise = hidden.quiet, hidden.quiet.noise
+    at = sensitivity(simulator, hidden.theta)
+    spread = np.concatenate([simulator.space.prior_std, np.ones(len(simulator.nuisances))])
+    white = noise.whiten(np.nan_to_num(np.concatenate([at.jacobian * spread[:, None, None], changed[None]])),
+                         noise.std(at.y), simulator.windows.valid).reshape(len(spread) + 1, -1)  # fmt: skip
+    J, d = white[:-1], white[-1]
+    square = d @ d - (J @ d) @ np.linalg.solve(np.eye(len(J)) + J @ J.T, J @ d)
+    assert reached == pytest.approx(math.sqrt(square), rel=1e-6)
+
+
+def test_the_joint_fit_ends_where_best_fit_does() -> None:
+    """Both minimise the same chi-square where noise is white, ours with linear initial states. A tenth of a unit
+    moves the ratio of what differs where nothing is missing, 2 at most, by 0.1 / (2 x 2), a fortieth."""
+    world = OwnModel(car=CAR, model="single_track", drive_mode="speed", gain=1.0)
+    noise = replace(NOISE, rho=dict.fromkeys(NOISE.rho, 0.0))
+    drive, rng = plan(amplitude=0.02), np.random.default_rng(0)
+    series = world.drive(drive, {})
+    assert series is not None
+    added = {name: noise.draw(name, len(drive.t), rng) for name in noise.std}
+    simulator = GIVEN.simulator([cases.recording("a", drive, series, GIVEN, added)], noise)
+    middle = (simulator.space.low + simulator.space.high) / 2
+    ours = fit(simulator, simulator.windows.y, middle)
+    theirs, _ = best_fit(simulator, np.nan_to_num(simulator.windows.y), middle[None])
+    projection = Projection(simulator, theirs)
+    chi_square = [
+        snr(projection.without_states(residual(simulator, theta, simulator.windows.y)[None])) ** 2
+        for theta in (ours, theirs)
+    ]
+    assert chi_square[0] < chi_square[1] + 0.1
+
+
+def test_without_effects_the_own_model_is_the_base_model() -> None:
+    hidden = cases.Concealment(setup(), 1.0)
+    assert hidden.ok
+    assert snr(hidden.projection.left(residual(hidden.quiet, THETA, hidden.quiet.windows.y)[None])) < 1.0
+
+
+# --- the twin -------------------------------------------------------------------------------------------------------
+
+
+def test_the_twin_stays_straight_at_constant_speed_without_commands() -> None:
+    """By mirror symmetry exactly; its speed settles by the wheels' load-dependent radius only, so not at all here."""
+    series = Twin(car=CAR, gain=1.0).drive(plan(), {})
+    assert series is not None
+    assert not series["yaw_rate"].any()
+    assert not series["a_y"].any()
+    np.testing.assert_allclose(series["v_x"], 20.0, atol=1e-9)
+
+
+def test_the_twin_turns_as_much_as_its_understeer_says() -> None:
+    """r = v delta / (L + K v^2), exact for tan(alpha) = alpha and no load effects: at a_y of 0.4 m/s^2 both are below
+    1e-3; the steering's cosine, drag in the turn and the curvature of the tyres take less than that again."""
+    delta = 0.003
+    series = Twin(car=CAR, gain=1.0).drive(plan(step=delta), {})
+    assert series is not None
+    assert CAR.L
+    v, r = series["v_x"][-1], series["yaw_rate"][-1]
+    assert r == pytest.approx(v * delta / (CAR.L + drives.understeer(CAR) * v**2), rel=2e-3)
+
+
+def test_in_gentle_driving_twin_and_catalogue_mean_the_same_by_an_effect() -> None:
+    """Coded independently, the changes agree to the twin's departure from linear tyres: a few per cent of theirs."""
+    drive = plan(amplitude=0.015)
+    twin, own = Twin(car=CAR, gain=1.0), OwnModel(car=CAR, model="single_track", drive_mode="torque", gain=1.0)
+    for effects in (
+        {"steering_delay": {"time": 0.05}}, {"roll_steer": {"coefficient": 0.001}}, {"road_bank": {"angle": 0.02}},
+        {"crosswind": {"force": 300.0, "arm": 0.5}}, {"gyro_scale": {"z": 1.1}}, {"yaw_inertia": {"factor": 1.3}},
+        {"payload": {"mass": 200.0, "x": -1.0}}, {"imu_misalignment": {"roll": 0.03, "pitch": 0.0, "yaw": 0.05}},
+    ):  # fmt: skip
+        moved = []
+        for world in (twin, own):
+            with_it, without = world.drive(drive, effects), world.drive(drive, {})
+            assert with_it is not None
+            assert without is not None
+            moved.append(np.concatenate([(with_it[c] - without[c]) / NOISE.std[c] for c in GIVEN.channels]))
+        assert np.linalg.norm(moved[0] - moved[1]) < 0.05 * np.linalg.norm(moved[1]), effects
+
+
+def test_a_reader_of_half_a_catalogue_effect_leaves_the_recorded_command_alone() -> None:
+    world = OwnModel(car=CAR, model="single_track", drive_mode="speed", gain=1.0)
+    drive = plan(amplitude=0.02)
+    series = outside.drive(world, drive, {"stick_slip_steering": {"threshold": 0.01}})
+    quiet = world.drive(drive, {})
+    assert series is not None
+    assert quiet is not None
+    assert np.array_equal(series["steering"], drive.steering)
+    assert not np.array_equal(series["yaw_rate"], quiet["yaw_rate"])
+
+
+# --- scores ---------------------------------------------------------------------------------------------------------
+
+
+def truth(kind: str, effects: dict[str, dict[str, float]], level: str = "L0", **more: object) -> dict:
+    facts = {
+        name: {"parameters": values, "active": list(values), "span": (2.0, 4.0) if "start" in values else None}
+        for name, values in effects.items()
+    }
+    base = {"kind": kind, "level": level, "effects": facts, "base_parameters": {"l_f": 1.2}, "heldout_comparable": True}
+    return base | more
+
+
+def verdict(explanations: list[tuple[list[str], float]], none: float, unknown: float, **more: object) -> dict:
+    named = [{"effects": names, "probability": p, "parameters": {}} for names, p in explanations]
+    plain = {"detected": True, "p_value": 0.001, "explanations": named, "p_none": none, "p_unknown": unknown}
+    return plain | {"mismatch": [], "indistinguishable": [], "fit": {}, "base_parameters": {}} | more
+
+
+def test_scores_of_hand_made_verdicts() -> None:
+    bias = truth("single", {"gyro_bias": {"z": 0.01}})
+    good = scores.score(bias, verdict([(["gyro_bias"], 0.85), (["road_bank"], 0.1)], 0.0, 0.05))
+    assert (good["top1"], good["top2"], good["in_set"], good["set_size"], good["detected"]) == (1.0, 1.0, True, 2, True)
+    second = scores.score(bias, verdict([(["road_bank"], 0.5), (["gyro_bias"], 0.4)], 0.0, 0.1))
+    assert (second["top1"], second["top2"], second["in_set"]) == (0.0, 1.0, True)
+    half = scores.score(bias, verdict([(["road_bank"], 0.9)], 0.0, 0.1, indistinguishable=[["road_bank", "gyro_bias"]]))
+    assert (half["top1"], half["top2"], half["in_set"], half["set_size"]) == (0.5, 0.5, False, 1)
+    pair = truth("pair", {"gyro_bias": {"z": 0.01}, "aero_drag": {"area": 0.5}})
+    assert scores.score(pair, verdict([(["aero_drag", "gyro_bias"], 0.9)], 0.0, 0.1))["both"]
+    assert not scores.score(pair, verdict([(["aero_drag"], 0.9)], 0.0, 0.1))["both"]
+    strange = truth("outside", {"cross_talk": {"leak": 1.0}})
+    wrong = scores.score(strange, verdict([(["gyro_bias"], 0.5)], 0.1, 0.4))
+    assert (wrong["wrong_name"], wrong["said_unknown"]) == (True, False)
+    honest = scores.score(strange, verdict([(["gyro_bias"], 0.3)], 0.1, 0.6))
+    assert (honest["wrong_name"], honest["said_unknown"], honest["correct"]) == (False, True, True)
+    real = truth("single", {"gyro_bias": {"z": 0.01}}, level="L2")
+    assert scores.score(real, verdict([(["gyro_bias", "body_roll"], 0.9)], 0.0, 0.1))["correct"]
+
+
+def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
+    gust = truth("single", {"gust": {"force": 1000.0, "start": 2.0, "duration": 2.0}})
+    said = verdict([(["gust"], 1.0)], 0.0, 0.0)
+    said["explanations"][0]["parameters"] = {
+        "gust.force": {"mean": 1100.0, "q05": 950.0, "q95": 1250.0},
+        "gust.start": {"mean": 3.0, "q05": 2.9, "q95": 3.1},
+        "gust.duration": {"mean": 2.0, "q05": 1.9, "q95": 2.1},
+    }
+    said["base_parameters"] = {"l_f": {"before": {"mean": 1.3, "std": 0.05}, "after": {"mean": 1.21, "std": 0.02}}}
+    said["fit"] = {"base": {"nrmse": {"a_y": 0.5}}, "extended": {"nrmse": {"a_y": 0.2}}}
+    row = scores.score(gust, said, {"a_y": 0.1})
+    assert row["iou"] == pytest.approx(1 / 3)  # 3 to 4 s of 2 to 5 s
+    assert row["onset_error"] == pytest.approx(1.0)
+    assert row["size_error"] == pytest.approx((0.1 + 0.5 + 0.0) / 3)
+    assert row["size_covered"] == pytest.approx(2 / 3)
+    assert (row["bias_before"], row["bias_after"]) == (pytest.approx(2.0), pytest.approx(0.5))
+    assert row["removed"] == pytest.approx(0.75)
+
+
+def test_intervals_and_calibration_by_hand() -> None:
+    """No event in n: Clopper and Pearson's upper bound is 1 - (alpha/2)^(1/n)."""
+    assert scores.interval([0.0] * 10) == (0.0, pytest.approx(1 - 0.05**0.1))
+    assert scores.interval([1.0] * 10) == (pytest.approx(0.05**0.1), 1.0)
+    table = pd.DataFrame({"probability": [0.95, 0.95, 0.65, 0.65], "correct": [1.0, 1.0, 1.0, 0.0]})
+    assert scores.calibration_error(table) == pytest.approx(0.5 * 0.05 + 0.5 * 0.15)
