@@ -183,6 +183,27 @@ class Recording:
             notes=(*self.notes, note),
         )
 
+    def decimated(self, factor: int) -> "Recording":
+        """The recording at a rate `factor` times lower: means of that many samples, absent where one of them is.
+
+        A mean belongs to the middle of its samples, and so does its time.
+        """
+        if factor == 1:
+            return self
+        n = len(self.t) // factor * factor
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            return values[:n].reshape(-1, factor).mean(axis=1)
+
+        return replace(
+            self,
+            rate=self.rate / factor,
+            t=mean(self.t),
+            channels={name: mean(values) for name, values in self.channels.items()},
+            valid={name: valid[:n].reshape(-1, factor).all(axis=1) for name, valid in self.valid.items()},
+            notes=(*self.notes, f"averaged to {self.rate / factor:g} Hz, which keeps the whole of it in memory"),
+        )
+
     def holdout(
         self, *, share: float = 0.25, block_s: float = 10.0, buffer_s: float = 1.0
     ) -> tuple["Recording", "Recording"]:

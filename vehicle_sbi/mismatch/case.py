@@ -14,6 +14,7 @@ from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.parameters import ParameterSpace
 
 HELD_OUT = 0.25  # share of the recordings' time that is held out where no recording is
+MOST_SAMPLES = 60_000  # of the recordings together; longer ones are averaged to a lower rate
 MOST_WINDOWS = 40  # into which recordings are cut for fitting; longer ones get longer windows
 STIFFEST = 2.0  # step times rate: modes this fast are stable (to 2.78) and gone within a sample, at half the cost
 START = 2.0  # times what smoothing leaves over, which lacks the slow part of autocorrelated noise, is a start's spread
@@ -45,10 +46,14 @@ class Diagnosis(Setup):
     heldout: Sequence[str | RecordingFile]
 
     def prepare(self) -> Case:
-        """Read everything; InputError for recordings that do not go together."""
+        """Read everything; InputError for recordings that do not go together, or a box without its effect's null."""
+        space = self.space()
+        _check_nulls(space)
         training_files = self._files(self.recordings or [self.recording])
         files = [*training_files, *self._files(self.heldout)]
         read = [file.load() for file in files]
+        most = max(sum(len(r.t) for r in part) for part in (read[: len(training_files)], read[len(training_files) :]))
+        read = [recording.decimated(-(-most // MOST_SAMPLES)) for recording in read]
         twice = {recording.source for recording in read[len(training_files) :]} & {
             r.source for r in read[: len(training_files)]
         }
@@ -62,7 +67,6 @@ class Diagnosis(Setup):
             training = [(file, kept) for file, (kept, _) in parts]
             held = [(file, out) for file, (_, out) in parts]
             names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
-        space = self.space()
         longer = replace(self, window_s=max(self.window_s, sum(len(r.t) / r.rate for r in read) / MOST_WINDOWS))
         observation = longer.observe(space, training)
         return Case(
@@ -91,3 +95,12 @@ class Diagnosis(Setup):
         if like is not None:
             simulator = replace(simulator, substeps=max(simulator.substeps, like.simulator.substeps))
         return Observation(simulator, np.where(windows.valid, windows.y, 0.0), isinstance(self.noise, EstimatedNoise))
+
+
+def _check_nulls(space: ParameterSpace) -> None:
+    for p in space.parameters:
+        if p.null is not None and not p.low <= p.null <= p.high:
+            raise InputError(
+                f"prior: {p.name} = [{p.low:g}, {p.high:g}] excludes {p.null:g}, where the effect vanishes; that is "
+                "allowed for fitting, but a diagnosis asks whether the effect exists"
+            )

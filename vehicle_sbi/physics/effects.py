@@ -18,7 +18,7 @@ from vehicle_sbi.physics.tyre import dugoff
 from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle
 
 EDGE = 0.1  # [s] over which what begins or ends at a moment does so
-KNOTS = 8  # of a profile over the recording, equally spaced
+KNOTS = 12  # of a profile over the recording, equally spaced
 LEAST_STIFFNESS = 0.05  # share of a stiffness that no load and no acceleration takes away
 PEAK_SHAPE = 1.5  # C of the magic formula that the tyre curve blends into
 RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and Vehicle Dynamics"
@@ -413,6 +413,10 @@ def profile_knots(p):
         p.road_grade_profile_angle_5,
         p.road_grade_profile_angle_6,
         p.road_grade_profile_angle_7,
+        p.road_grade_profile_angle_8,
+        p.road_grade_profile_angle_9,
+        p.road_grade_profile_angle_10,
+        p.road_grade_profile_angle_11,
     )
 
 

@@ -1,0 +1,107 @@
+"""Recordings that are diagnosed together are one after another; what does not go together is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from cars import PAPER
+from recorded import lateral, recorded
+
+from vehicle_sbi.data.noise import EstimatedNoise
+from vehicle_sbi.data.readers import RecordingFile
+from vehicle_sbi.data.recording import CHANNELS, Recording, joined, unheld
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.mismatch.case import Diagnosis
+from vehicle_sbi.physics.single_track import INPUTS
+
+PRIOR = {"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3], "delta_C_alpha_r": [-0.3, 0.3]}
+
+
+def written(path: Path, seed: int, **effects: float) -> Path:
+    """A native file of the shared drive, with effects if there are any."""
+    sim = lateral()
+    observation = recorded(sim, seed=seed, **effects)
+    u = sim.windows.u[0]
+    columns = {"time_s": u[:, INPUTS.index("time")], "steering_rad": u[:, INPUTS.index("steering")]}
+    columns["v_x_mps"] = u[:, INPUTS.index("v_x")]
+    columns |= {CHANNELS[c].column: y for c, y in zip(sim.windows.channels, observation.observed, strict=True)}
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def diagnosis(files: list[Path], heldout: list[Path] | None = None, **changes: object) -> Diagnosis:
+    settings: dict = {
+        "vehicle": PAPER, "model": "single_track", "drive": "speed", "prior": PRIOR, "effects": [], "window_s": 10.0,
+        "warmup_s": 0.5, "noise": EstimatedNoise(), "seed": 0, "recordings": [str(f) for f in files],
+        "recording": RecordingFile(path=str(files[0]), channels=("a_x", "a_y", "yaw_rate")),
+        "heldout": [str(f) for f in heldout or []],
+    }  # fmt: skip
+    return Diagnosis(**settings | changes)
+
+
+def test_recordings_run_on_one_clock(tmp_path: Path) -> None:
+    case = diagnosis([written(tmp_path / "a.csv", 0), written(tmp_path / "b.csv", 1)], [written(tmp_path / "c.csv", 2)])
+    windows = case.prepare().observation.simulator.windows
+    clock = windows.u[..., INPUTS.index("time")].reshape(-1)
+    assert windows.u.shape[0] == 2
+    np.testing.assert_allclose(np.diff(clock), 0.02, atol=1e-9)
+
+
+def test_without_held_out_recordings_blocks_of_time_are_held_out(tmp_path: Path) -> None:
+    case = diagnosis([written(tmp_path / "a.csv", 0)], window_s=2.0).prepare()
+    fitted, held = (o.simulator.windows for o in (case.observation, case.held_out))
+    assert not case.apart
+    assert case.held_out_names == ("blocks of a",)
+    times = [w.t.reshape(-1)[w.valid.any(axis=0)] for w in (fitted, held)]
+    # The buffer of holdout() lies between them, less half a sample.
+    assert np.abs(np.subtract.outer(*times)).min() > 1.0 - 0.01
+
+
+def test_recordings_of_different_rates_are_refused(tmp_path: Path) -> None:
+    a, b = lateral().windows, replace(lateral().windows, rate=100.0)
+    with pytest.raises(InputError, match=r"recordings one and two differ in their rate: 50\.0 and 100\.0"):
+        joined([a, b], ["one", "two"])
+
+
+def test_a_recording_is_not_both_fitted_and_held_out(tmp_path: Path) -> None:
+    a = written(tmp_path / "a.csv", 0)
+    with pytest.raises(InputError, match="is also fitted"):
+        diagnosis([a], [a]).prepare()
+
+
+def test_a_box_that_excludes_the_null_is_refused_where_existence_is_asked(tmp_path: Path) -> None:
+    prior = PRIOR | {"steering_ratio": {"gain": [1.1, 1.3]}}
+    with pytest.raises(InputError, match=r"steering_ratio.gain = \[1.1, 1.3\] excludes 1, where the effect vanishes"):
+        diagnosis([written(tmp_path / "a.csv", 0)], prior=prior).prepare()
+
+
+def test_an_average_keeps_lines_and_their_times() -> None:
+    t = np.arange(11) / 10.0
+    whole = Recording(
+        name="x", rate=10.0, t=t, channels={"a_x": 3.0 * t}, valid={"a_x": t != 0.4}, groups={}, source="x", sha256=""
+    )
+    slow = whole.decimated(2)
+    assert slow.rate == 5.0
+    np.testing.assert_allclose(slow.channels["a_x"], 3.0 * slow.t)
+    assert slow.valid["a_x"].tolist() == [True, True, False, True, True]
+
+
+@pytest.mark.parametrize("hold", [2, 5])
+def test_a_held_line_becomes_a_line_again(hold: int) -> None:
+    line = np.arange(200.0)
+    held = line[np.arange(200) // hold * hold]
+    last = 199 // hold * hold
+    np.testing.assert_allclose(unheld(held)[: last + 1], line[: last + 1])
+
+
+def test_a_rest_between_moves_stays_a_rest() -> None:
+    values = np.concatenate([np.repeat(np.arange(20.0), 3), np.full(30, 19.0), np.repeat(np.arange(20.0, 40.0), 3)])
+    smooth = unheld(values)
+    np.testing.assert_allclose(smooth[60:86], 19.0)
+
+
+def test_a_signal_that_is_not_held_stays_as_it_is() -> None:
+    wave = np.sin(np.arange(200) / 7.0)
+    np.testing.assert_array_equal(unheld(wave), wave)

@@ -1,0 +1,75 @@
+"""Held-out predictions: calibrated where the model is right, better where the missing effect is modelled."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import fitted, lateral, recorded
+
+from vehicle_sbi.mismatch.candidates import left_out
+from vehicle_sbi.mismatch.experiment import advice, separations
+from vehicle_sbi.mismatch.explain import Model, examine, extended, versions
+from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
+
+
+@pytest.fixture(scope="module")
+def models() -> dict[str, Model]:
+    """Fits to a drive whose roll is left out, and the same with roll and with a gain of the accelerometer."""
+    base = Model((), fitted(recorded(lateral(), body_roll__gradient=0.012)), 0.0)
+    tried = ("body_roll", "accelerometer_scale", "gust")
+    known = [d for d in left_out(base.fit.simulator, base.fit.theta) if d.effect in tried]
+    found = versions(examine(base, known, np.random.default_rng(0)))
+    grown = {version.effect: extended(base, version) for version in found}
+    return {"base": base} | {name: model for name, model in grown.items() if model is not None}
+
+
+def test_the_band_covers_what_it_says_where_the_model_is_right(models: dict[str, Model]) -> None:
+    # 1500 samples of independent noise: 90 % within four binomial standard deviations.
+    held = recorded(lateral(), seed=9, body_roll__gradient=0.012)
+    found = predict(models["body_roll"], held, apart=True)
+    assert found.coverage90 == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / found.samples))
+
+
+def test_modelling_what_is_missing_gains_on_another_drive(models: dict[str, Model]) -> None:
+    held = recorded(lateral(), seed=9, body_roll__gradient=0.012)
+    base, better = (predict(models[name], held, apart=True) for name in ("base", "body_roll"))
+    assert gain(base, better, 50.0).certain
+    assert better.nrmse["a_y"] < base.nrmse["a_y"]
+
+
+def test_the_log_score_is_that_of_independent_normal_noise() -> None:
+    observation = replace(recorded(lateral()), estimated=False)
+    fit, held = fitted(observation), recorded(lateral(), seed=9)
+    z = (held.observed - fit.at.y) / fit.simulator.noise.floor[:, None]
+    expected = np.mean(-0.5 * z**2 - np.log(fit.simulator.noise.floor)[:, None]) - 0.5 * np.log(2 * np.pi)
+    assert predict(Model((), fit, 0.0), held, apart=True).mean_log_score == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_happened_at_a_moment_of_one_drive_did_not_happen_in_another(models: dict[str, Model]) -> None:
+    gust = models["gust"]
+    held = recorded(lateral(), seed=9)
+    blown, calm = (predict(gust, held, apart=apart).y for apart in (False, True))
+    simulated = gust.fit.simulator.noise_free(gust.fit.theta[None])[0]
+    np.testing.assert_allclose(blown, simulated)
+    assert np.abs(blown - calm).max() > 0
+
+
+def test_a_gain_is_the_mean_difference_and_its_error_that_of_blocks() -> None:
+    score = np.zeros((1, 400))
+    better = score + np.repeat([1.0, 3.0, 1.0, 3.0], 100)
+    one = Prediction({}, 0.9, score, score, score, 400)
+    other = Prediction({}, 0.9, better, better, better, 400)
+    found = gain(one, other, 50.0)  # four blocks of two seconds
+    assert found.mean == pytest.approx(2.0)
+    assert found.std == pytest.approx(np.std([1, 3, 1, 3], ddof=1) / 2)
+    assert found.low < found.mean
+    assert not Gain(1.0, 1.0, -0.5).certain
+
+
+def test_a_drive_that_separates_is_one_in_which_the_models_differ(models: dict[str, Model]) -> None:
+    # Both make a_y grow in proportion to itself; the same model twice differs nowhere.
+    roll, scale = models["body_roll"], models["accelerometer_scale"]
+    assert max(one.separation for one in separations(roll, roll)) == pytest.approx(0.0, abs=1e-6)
+    ranked = [one.separation for one in separations(roll, scale)]
+    assert ranked == sorted(ranked, reverse=True)
+    assert advice(roll, roll) == ""
