@@ -38,7 +38,7 @@ def test_the_size_of_a_bias_comes_out_as_it_went_in() -> None:
     low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
     s = score(fit, slopes(fit.simulator, fit.theta, found), low, high, rng=np.random.default_rng(0), draws=200)
     assert s.size[0] == pytest.approx(0.2, abs=4 / np.sqrt(s.information[0]))
-    assert s.p_value == pytest.approx(1 / 201)
+    assert s.p_value() == pytest.approx(1 / 201)
 
 
 def test_p_values_are_uniform_where_nothing_is_missing() -> None:
@@ -53,5 +53,5 @@ def test_p_values_are_uniform_where_nothing_is_missing() -> None:
         ]  # fmt: skip
         low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
         changes = slopes(fit.simulator, fit.theta, found)
-        p.append(score(fit, changes, low, high, rng=np.random.default_rng(seed), draws=300).p_value)
+        p.append(score(fit, changes, low, high, rng=np.random.default_rng(seed), draws=300).p_value())
     assert kstest(p, "uniform").pvalue > 1e-3

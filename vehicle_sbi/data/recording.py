@@ -307,6 +307,10 @@ class Recording:
             smooth = smoothed(v_x, self.rate, self.source)
             inputs["v_x"] = np.where(np.isfinite(v_x), smooth, np.nan)
             inputs["v_x_dot"] = smoothed(v_x, self.rate, self.source, derivative=1)
+        if drive == "wheel_speed":
+            for name in NEEDED[drive]:
+                held = inputs[name]
+                inputs[name] = np.where(np.isfinite(held), smoothed(held, self.rate, self.source), np.nan)
         if "steering" not in self.channels and "steering_wheel" in self.channels:
             if steering_ratio is None:
                 raise InputError(f"{self.source}: {why} has only steering_wheel and needs the vehicle's steering_ratio")

@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 from scipy.special import log_ndtr
+from scipy.stats import rankdata
 
 from vehicle_sbi.data.noise import LARGEST_RHO
 from vehicle_sbi.mismatch.fit import Fit
@@ -54,12 +55,24 @@ class Scores:
     @property
     def p_values(self) -> Float[np.ndarray, " k"]:
         """Of each direction, for the largest of all: how often noise alone scores as high anywhere."""
-        highest = self.null.max(axis=1, initial=0.0)
+        highest = np.abs(self.null).max(axis=1, initial=0.0)
         return (1.0 + (highest[:, None] >= np.abs(self.z)).sum(axis=0)) / (len(highest) + 1.0)
 
-    @property
-    def p_value(self) -> float:
-        return float(self.p_values.min(initial=1.0))
+    def p_value(self, groups: Sequence[Sequence[int]] = (), *, tolerated: float = 0.0) -> float:
+        """How often noise alone is as extreme: by its largest score, or by the sum of squares of a group of scores.
+
+        A mismatch that comes and goes has many small scores in a row, not one large one. `tolerated` is a score that is
+        left over by a model that counts as right, in whose units larger ones are then taken.
+        """
+        z, shrink = np.concatenate([self.z[None], self.null]), 1.0 / np.sqrt(1.0 + tolerated**2)
+        z[0] *= shrink
+        statistics = [np.abs(z).max(axis=1, initial=0.0)]
+        for rows in groups:
+            precision = np.linalg.pinv(np.cov(self.null[:, rows], rowvar=False), rcond=1e-6, hermitian=True)
+            statistics.append(np.einsum("ni,ij,nj->n", z[:, rows], precision, z[:, rows]))
+        ranks = [rankdata(-one, method="max") for one in statistics]
+        least = np.min(ranks, axis=0)
+        return float((least <= least[0]).sum() / len(least))
 
     @property
     def log_evidence(self) -> Float[np.ndarray, " k"]:
@@ -220,7 +233,7 @@ def _null(
     rng: np.random.Generator,
     draws: int,
 ) -> Float[np.ndarray, "draws k"]:
-    """Absolute scores of drawn noise, after the fit has absorbed what it can and the noise has been estimated again."""
+    """Scores of drawn noise, after the fit has absorbed what it can and the noise has been estimated again."""
     G = about.absorbed(np.nan_to_num(changes))
     gg = np.stack([about.products(g[None], g[None])[..., 0, 0] for g in G], axis=-1)  # (3, channels, k)
     count = np.array([max(len(pair), 1) for pair in about.pairs])[:, None]
@@ -235,5 +248,5 @@ def _null(
         std = np.sqrt(np.maximum(np.einsum("tcn,tck->nk", weight, gg), 1e-12))
         z = b / std
         size = np.clip(z, low * std, high * std)  # in standard deviations
-        found.append(np.sqrt(np.maximum(z**2 - (z - size) ** 2, 0.0)))
+        found.append(np.sign(size) * np.sqrt(np.maximum(z**2 - (z - size) ** 2, 0.0)))
     return np.concatenate(found)

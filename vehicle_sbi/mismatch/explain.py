@@ -8,6 +8,7 @@ add effects; that of *unknown* from how often noise alone would leave as much ov
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -71,17 +72,28 @@ class Examined:
     joint: dict[str, Joint]
 
     @property
+    def _stretches(self) -> list[list[int]]:
+        """Rows of each channel's blocks of time."""
+        n, channels = len(self.directions), dict.fromkeys(block.channel for block in self.blocks)
+        return [
+            [n + i for i, block in enumerate(self.blocks) if block.channel == channel and not block.regime]
+            for channel in channels
+        ]
+
+    @cached_property
     def p_value(self) -> float:
-        """How often noise alone would leave as much over, beyond what no model gets right."""
-        z = np.abs(self.scores.z).max(initial=0.0)
-        z /= np.sqrt(1.0 + (TOLERANCE * self.model.explained) ** 2)
-        highest = self.scores.null.max(axis=1)
-        return float((1.0 + (highest >= z).sum()) / (len(highest) + 1.0))
+        """How often noise alone would leave as much over."""
+        return self.scores.p_value(self._stretches)
+
+    @cached_property
+    def p_adequate(self) -> float:
+        """The same, beyond what no model gets right."""
+        return self.scores.p_value(self._stretches, tolerated=TOLERANCE * self.model.explained)
 
     @property
     def share_explained(self) -> float:
         """Of the squared score of everything that was found, what the model explains."""
-        left = float(np.abs(self.scores.z).max(initial=0.0)) if self.scores.p_value < LEVEL else 0.0
+        left = float(np.abs(self.scores.z).max(initial=0.0)) if self.p_value < LEVEL else 0.0
         return self.model.explained**2 / max(self.model.explained**2 + left**2, 1e-12)
 
     @property
@@ -198,7 +210,7 @@ class Explanation:
     @property
     def p_value(self) -> float:
         """How often noise alone would look as much as if something were missing."""
-        return self.base.scores.p_value
+        return self.base.p_value
 
     @property
     def detected(self) -> bool:
@@ -220,7 +232,7 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
     none = Model((), base, 0.0)
     first = examine(none, known, rng)
     pool, best = {(): none}, first
-    frontier = [first] if first.scores.p_value < LEVEL else []
+    frontier = [first] if first.p_value < LEVEL else []
     for _ in range(MOST_EFFECTS):
         grown = {
             model.effects: model for examined in frontier for model in _grow(examined) if model.effects not in pool
@@ -230,7 +242,7 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
         if not leading or _weight(leading[0]) <= _weight(best.model):
             break
         best = examine(leading[0], known, rng)
-        if best.scores.p_value > LEVEL:
+        if best.p_value > LEVEL:
             break
         frontier = [best, *(examine(model, known, rng) for model in leading[1:])]
     return _judge(pool, first, best)
@@ -256,7 +268,7 @@ def _weight(model: Model) -> float:
 def _judge(pool: dict[tuple[str, ...], Model], first: Examined, best: Examined) -> Explanation:
     """Probabilities of all models that were fitted, and of what none of them explains."""
     weights = {effects: _weight(model) for effects, model in pool.items()}
-    odds = np.log(UNKNOWN * SURPRISE) + (SURPRISE - 1.0) * np.log(best.p_value)
+    odds = np.log(UNKNOWN * SURPRISE) + (SURPRISE - 1.0) * np.log(best.p_adequate)
     unknown = weights[best.model.effects] + float(odds)
     total = float(logsumexp([*weights.values(), unknown]))
     named = sorted((effects for effects in pool if effects), key=lambda effects: -weights[effects])
