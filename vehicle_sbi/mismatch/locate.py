@@ -29,17 +29,23 @@ class Block:
     regime: str = ""
 
 
-def _clock(simulator: Simulator) -> Float[np.ndarray, " time"]:
+def clock(simulator: Simulator) -> Float[np.ndarray, " time"]:
+    """Time of each sample [s], of recordings one after another."""
     return simulator.windows.u[..., INPUTS.index("time")].reshape(-1)
 
 
-def _stretches(simulator: Simulator) -> list[tuple[float, float]]:
+def stretches(simulator: Simulator) -> list[tuple[float, float]]:
     """Stretches of time of equal length that overlap by half."""
-    t = _clock(simulator)
+    t = clock(simulator)
     seconds = float(t.max() - t.min())
     length = max(2.0 * seconds / (BLOCKS + 1), LEAST_S)
     starts = np.arange(t.min(), t.max() - 0.5 * length, 0.5 * length)
     return [(float(start), float(start + length)) for start in starts]
+
+
+def bump(t: Float[np.ndarray, " time"], start: float, stop: float) -> Float[np.ndarray, " time"]:
+    """0 outside the stretch, 1 in its middle; those of stretches that overlap by half add up to 1."""
+    return np.sin(np.pi * np.clip((t - start) / (stop - start), 0.0, 1.0)) ** 2
 
 
 def regimes(simulator: Simulator, y: Float[np.ndarray, "channels time"]) -> dict[str, Float[np.ndarray, " time"]]:
@@ -59,14 +65,13 @@ def blocks(
     simulator: Simulator, y: Float[np.ndarray, "channels time"]
 ) -> tuple[list[Block], Float[np.ndarray, "k channels time"]]:
     """Every block and the change of the series that it stands for, of unit height."""
-    t, channels = _clock(simulator), simulator.windows.channels
+    t, channels = clock(simulator), simulator.windows.channels
     rows: list[Block] = []
     bumps: list[np.ndarray] = []
-    for start, stop in _stretches(simulator):
-        share = np.clip((t - start) / (stop - start), 0.0, 1.0)
+    for start, stop in stretches(simulator):
         for channel in channels:
             rows.append(Block(channel, start, stop))
-            bumps.append(np.sin(np.pi * share) ** 2)
+            bumps.append(bump(t, start, stop))
     for name, signal in regimes(simulator, y).items():
         limit = np.quantile(signal, 1.0 - BUSY)
         for i, channel in enumerate(channels):
@@ -77,8 +82,8 @@ def blocks(
                 rows.append(Block(channel, float(t.min()), float(t.max()), regime))
                 bumps.append(shape.astype(float))
     changes = np.zeros((len(rows), len(channels), len(t)))
-    for k, (block, bump) in enumerate(zip(rows, bumps, strict=True)):
-        changes[k, channels.index(block.channel)] = bump
+    for k, (block, shape) in enumerate(zip(rows, bumps, strict=True)):
+        changes[k, channels.index(block.channel)] = shape
     return rows, changes
 
 

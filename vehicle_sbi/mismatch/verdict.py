@@ -11,13 +11,14 @@ from vehicle_sbi.mismatch.experiment import advice
 from vehicle_sbi.mismatch.explain import Explanation, Model
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.improve import Gain, Prediction
+from vehicle_sbi.mismatch.latent import Latent, what_it_takes
 from vehicle_sbi.mismatch.locate import merged
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.physics.effects import CATALOGUE
 
 SCHEMA = 1
 LISTED = 10  # explanations at most
-NAMED = 0.5  # probability from which a sentence states an explanation as the answer
+SPOKEN_OF = 0.2  # probability of something unknown from which it is said what that would be
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,7 @@ class Verdict:
     explanations: list[Named]
     p_none: float
     p_unknown: float
+    unknown: Latent | None
     indistinguishable: list[list[str]]
     separating_experiment: str
     fit: dict[str, object]
@@ -130,6 +132,7 @@ def verdict(
     model = chosen(explanation)
     before, after = estimates(explanation.base.model.fit), estimates(model.fit)
     together = explanation.indistinguishable() if explanation.detected else []
+    it_takes = what_it_takes(explanation.best.model.fit) if explanation.p_unknown > SPOKEN_OF else None
     fit: dict[str, object] = {"heldout": list(case.held_out_names)}
     fit |= {name: asdict(Score(p.nrmse, p.mean_log_score, p.coverage90)) for name, p in predictions.items()}
     if gained is not None:
@@ -144,6 +147,7 @@ def verdict(
         explanations=found,
         p_none=explanation.p_none,
         p_unknown=explanation.p_unknown + rest,
+        unknown=it_takes,
         indistinguishable=[list(effects) for effects in together] if len(together) > 1 else [],
         separating_experiment=_advice(explanation, together),
         fit=fit,
@@ -152,7 +156,7 @@ def verdict(
             for name in before
         },
         notes=[*case.notes],
-        sentence=sentence(explanation, gained, together, seen),
+        sentence=sentence(explanation, gained, together, seen, it_takes),
     )
 
 
@@ -178,7 +182,13 @@ def quantity(name: str, e: Estimate) -> str:
     return f"{name} = {e.mean:.{min(digits, 9)}f} ± {e.std:.{min(digits, 9)}f} {e.unit}".removesuffix(" 1")
 
 
-def sentence(explanation: Explanation, gained: Gain | None, together: Sequence[Sequence[str]], seen: Card) -> str:
+def sentence(
+    explanation: Explanation,
+    gained: Gain | None,
+    together: Sequence[Sequence[str]],
+    seen: Card,
+    it_takes: Latent | None,
+) -> str:
     """The diagnosis in a sentence or two, for people."""
     if not explanation.detected:
         return (
@@ -191,7 +201,8 @@ def sentence(explanation: Explanation, gained: Gain | None, together: Sequence[S
         text += f", most of all in {where[0].channel} {_when(where[0].regime, where[0].from_s, where[0].to_s)}"
     best = explanation.models[0] if explanation.models else None
     if best is None:
-        return f"{text}; no known effect explains any of it."
+        text += "; no known effect explains any of it."
+        return f"{text} {it_takes.sentence}" if it_takes else text
     own = {k: v for k, v in estimates(best.fit).items() if k.split(".")[0] in best.effects}
     sizes = "; ".join(quantity(name, e) for name, e in own.items())
     meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
@@ -201,6 +212,7 @@ def sentence(explanation: Explanation, gained: Gain | None, together: Sequence[S
         text += f" {explanation.best.share_explained:.0%} at most, and something unknown remains"
         left = explanation.best.largest_block
         text += f" in {left.channel} {_when(left.regime, left.from_s, left.to_s)}: {meaning} ({sizes})."
+        text += f" {it_takes.sentence}" if it_takes else ""
     else:
         text += f". {_listed(best.effects)} {verb} it with probability {explanation.probability[0]:.2f}: "
         text += f"{meaning} ({sizes})."
