@@ -149,7 +149,7 @@ def named_recordings(cfg: DictConfig) -> DictConfig:
             raise unknown("recording", entry, configured, where)
         if entry == chosen["recording"]:
             return OmegaConf.to_container(cfg.recording, resolve=True)
-        node = OmegaConf.load(configured[entry])
+        node = typing.cast(DictConfig, OmegaConf.load(configured[entry]))
         (vehicle,) = [d["override /vehicle"] for d in node.get("defaults", []) if "override /vehicle" in d] or [None]
         if vehicle != chosen["vehicle"]:
             raise InputError(

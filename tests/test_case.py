@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -31,14 +32,15 @@ def written(path: Path, seed: int, **effects: float) -> Path:
     return path
 
 
-def diagnosis(files: list[Path], heldout: list[Path] | None = None, **changes: object) -> Diagnosis:
-    settings: dict = {
+def diagnosis(files: list[Path], heldout: list[Path] | None = None, **changes: Any) -> Diagnosis:
+    settings: dict[str, Any] = {
         "vehicle": PAPER, "model": "single_track", "drive": "speed", "prior": PRIOR, "effects": [], "window_s": 10.0,
         "warmup_s": 0.5, "noise": EstimatedNoise(), "seed": 0, "recordings": [str(f) for f in files],
         "recording": RecordingFile(path=str(files[0]), channels=("a_x", "a_y", "yaw_rate")),
         "heldout": [str(f) for f in heldout or []],
     }  # fmt: skip
-    return Diagnosis(**settings | changes)
+    settings |= changes
+    return Diagnosis(**settings)
 
 
 def test_recordings_run_on_one_clock(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def test_the_likelihood_is_that_of_the_dense_covariance(rho: float) -> None:
     keep = sim.windows.valid.reshape(-1)
     covariance = (noise.reshape(90, 90) + J.T @ J)[np.ix_(keep, keep)]
     residual = np.random.default_rng(1).normal(0.0, 0.1, (3, 30))
-    dense = multivariate_normal(cov=covariance).logpdf(residual.reshape(-1)[keep])
+    dense = multivariate_normal.logpdf(residual.reshape(-1)[keep], cov=covariance)  # pyright: ignore[reportArgumentType]
     constant = 0.5 * keep.sum() * np.log(2 * np.pi)
     masked = np.where(sim.windows.valid, residual, 0.0)
     assert metric.log_likelihood(masked) == pytest.approx(dense + constant, rel=1e-9)

@@ -126,7 +126,7 @@ class Linearised:
         """Of the three kinds of products in the information, under the fit's noise."""
         noise = self.fit.simulator.noise
         innovation = self.fit.metric.std.mean(axis=1) ** 2 * (1.0 - noise.rho**2)
-        return np.stack([np.ones_like(noise.rho), noise.rho**2, -2.0 * noise.rho]) / innovation
+        return _kinds(noise.rho) / innovation
 
     def absorbed(self, series: Float[np.ndarray, "k channels time"]) -> Float[np.ndarray, "k channels time"]:
         """What the fit leaves of some series once parameters and initial states have taken what they can."""
@@ -151,51 +151,77 @@ class Profiled:
     information: Float[np.ndarray, "k q q"]
 
 
+@dataclass(frozen=True)
+class Quadratic:
+    """Products of what k models leave over at sizes x, rr - 2 b x + x H x, of the three kinds in each channel."""
+
+    H: Float[np.ndarray, "3 channels k n n"]
+    b: Float[np.ndarray, "3 channels k n"]
+    rr: Float[np.ndarray, "3 channels"]
+    count: Float[np.ndarray, " channels"]
+
+    @classmethod
+    def of(cls, about: Linearised, changes: Float[np.ndarray, "k q channels time"]) -> "Quadratic":
+        """For everything that the fit can move, m in number, and q directions in each of k models."""
+        k, q, channels, time = changes.shape
+        m, changes = len(about.J), np.nan_to_num(changes)
+        flat = changes.reshape(k * q, channels, time)
+        H, b = np.empty((3, channels, k, m + q, m + q)), np.empty((3, channels, k, m + q))
+        H[..., :m, :m] = about.products(about.J, about.J)[:, :, None]
+        H[..., :m, m:] = about.products(about.J, flat).reshape(3, channels, m, k, q).transpose(0, 1, 3, 2, 4)
+        H[..., m:, :m] = np.swapaxes(H[..., :m, m:], -1, -2)
+        for row, g in enumerate(changes):
+            H[:, :, row, m:, m:] = about.products(g, g)
+        b[..., :m] = about.products(about.J, about.residual)[:, :, None, :, 0]
+        b[..., m:] = about.products(flat, about.residual).reshape(3, channels, k, q)
+        rr = about.products(about.residual, about.residual)[..., 0, 0]
+        return cls(H, b, rr, np.array([float(max(len(pair), 1)) for pair in about.pairs]))
+
+    def noise(
+        self, x: Float[np.ndarray, "k n"]
+    ) -> tuple[Float[np.ndarray, "channels k"], Float[np.ndarray, "channels k"]]:
+        """Correlation and innovation variance of what is left over at x."""
+        left = self.rr[..., None] - 2.0 * np.einsum("tcki,ki->tck", self.b, x)
+        left = left + np.einsum("tckij,ki,kj->tck", self.H, x, x, optimize=True)
+        return _ar1(left, self.count[:, None])
+
+    def weighted(
+        self, x: Float[np.ndarray, "k n"], prior: Float[np.ndarray, "n n"]
+    ) -> tuple[Float[np.ndarray, "k n n"], Float[np.ndarray, "k n"]]:
+        """Normal equations A, g under the noise that is left over at x."""
+        rho, S = self.noise(x)
+        weight = _kinds(rho) / S
+        return np.einsum("tck,tckij->kij", weight, self.H) + prior, np.einsum("tck,tcki->ki", weight, self.b)
+
+
 def profile(
     about: Linearised, changes: Float[np.ndarray, "k q channels time"], low: np.ndarray, high: np.ndarray
 ) -> Profiled:
     """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best."""
-    k, q, channels, time = changes.shape
-    m, flat = len(about.J), np.nan_to_num(changes).reshape(k * q, channels, time)
-    JJ, Jr, rr = (
-        about.products(*pair) for pair in ((about.J, about.J), (about.J, about.residual), (about.residual,) * 2)
-    )
-    Jg = about.products(about.J, flat).reshape(3, channels, m, k, q).transpose(0, 1, 3, 2, 4)
-    gr = about.products(flat, about.residual).reshape(3, channels, k, q)
-    gg = (
-        np.stack([about.products(g, g) for g in np.nan_to_num(changes)], axis=2)
-        if q
-        else np.zeros((3, channels, k, 0, 0))
-    )
-    H = np.empty((3, channels, k, m + q, m + q))
-    H[..., :m, :m], H[..., m:, m:] = JJ[:, :, None], gg
-    H[..., :m, m:], H[..., m:, :m] = Jg, np.swapaxes(Jg, -1, -2)
-    b = np.concatenate([np.broadcast_to(Jr[:, :, None, :, 0], (3, channels, k, m)), gr], axis=-1)
-    count = np.array([max(len(pair), 1) for pair in about.pairs])
-    prior = np.diag(np.concatenate([np.ones(m), np.zeros(q)]))
+    (k, q), m = changes.shape[:2], len(about.J)
+    quadratic, prior = Quadratic.of(about, changes), np.diag(np.repeat([1.0, 0.0], [m, q]))
     x = np.zeros((k, m + q))
     for _ in range(ITERATIONS):
-        rho, S = _noise(H, b, rr[..., 0, 0], x, count)
-        weight = np.stack([np.ones_like(rho), rho**2, -2.0 * rho]) / S
-        A = np.einsum("tck,tckij->kij", weight, H) + prior
-        g = np.einsum("tck,tcki->ki", weight, b)
-        x = _bounded(A, g, low, high, m)
-    rho, S = _noise(H, b, rr[..., 0, 0], x, count)
-    log_likelihood = -0.5 * (count[:, None] * np.log(S)).sum(axis=0) - 0.5 * np.sum(x[:, :m] ** 2, axis=1)
+        x = _bounded(*quadratic.weighted(x, prior), low, high, m)
+    _, S = quadratic.noise(x)
+    log_likelihood = -0.5 * (quadratic.count @ np.log(S)) - 0.5 * np.sum(x[:, :m] ** 2, axis=1)
+    A, _ = quadratic.weighted(x, prior)
     cross = A[:, m:, :m]
-    return Profiled(
-        x[:, m:], log_likelihood, A[:, m:, m:] - cross @ np.linalg.solve(A[:, :m, :m], np.swapaxes(cross, 1, 2))
-    )
+    information = A[:, m:, m:] - cross @ np.linalg.solve(A[:, :m, :m], np.swapaxes(cross, 1, 2))
+    return Profiled(x[:, m:], log_likelihood, information)
 
 
-def _noise(
-    H: np.ndarray, b: np.ndarray, rr: np.ndarray, x: np.ndarray, count: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Correlation and innovation variance (channels, k) of what is left over at x (k, m + q)."""
-    left = rr[..., None] - 2.0 * np.einsum("tcki,ki->tck", b, x) + np.einsum("tckij,ki,kj->tck", H, x, x)
-    now, before, across = left
-    rho = np.clip(across / np.maximum(before, LEAST_VARIANCE), 0.0, LARGEST_RHO)
-    return rho, np.maximum((now - 2.0 * rho * across + rho**2 * before) / count[:, None], LEAST_VARIANCE)
+def _kinds(rho: np.ndarray) -> np.ndarray:
+    """Weights of the three kinds of products in those of innovations, (3, …) for rho (…)."""
+    return np.stack([np.ones_like(rho), rho**2, -2.0 * rho])
+
+
+def _ar1(
+    left: Float[np.ndarray, "3 channels k"], count: Float[np.ndarray, "channels 1"]
+) -> tuple[Float[np.ndarray, "channels k"], Float[np.ndarray, "channels k"]]:
+    """Correlation and innovation variance from the three kinds of products of a residual."""
+    rho = np.clip(left[2] / np.maximum(left[1], LEAST_VARIANCE), 0.0, LARGEST_RHO)
+    return rho, np.maximum(np.sum(_kinds(rho) * left, axis=0) / count, LEAST_VARIANCE)
 
 
 def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m: int) -> np.ndarray:
@@ -236,14 +262,13 @@ def _null(
     """Scores of drawn noise, after the fit has absorbed what it can and the noise has been estimated again."""
     G = about.absorbed(np.nan_to_num(changes))
     gg = np.stack([about.products(g[None], g[None])[..., 0, 0] for g in G], axis=-1)  # (3, channels, k)
-    count = np.array([max(len(pair), 1) for pair in about.pairs])[:, None]
+    count = np.array([[float(max(len(pair), 1))] for pair in about.pairs])
     found = []
     for n in np.diff([*range(0, draws, CHUNK), draws]):
         e = about.absorbed(about.drawn(int(n), rng))
-        now, before, across = np.stack([about.products(one[None], one[None])[..., 0, 0] for one in e], axis=-1)
-        rho = np.clip(across / np.maximum(before, LEAST_VARIANCE), 0.0, LARGEST_RHO)
-        S = np.maximum((now - 2.0 * rho * across + rho**2 * before) / count, LEAST_VARIANCE)
-        weight = np.stack([np.ones_like(rho), rho**2, -2.0 * rho]) / S  # (3, channels, draws)
+        left = np.stack([about.products(one[None], one[None])[..., 0, 0] for one in e], axis=-1)
+        rho, S = _ar1(left, count)
+        weight = _kinds(rho) / S  # (3, channels, draws)
         b = np.einsum("tcn,tcnk->nk", weight, about.products(e, G))
         std = np.sqrt(np.maximum(np.einsum("tcn,tck->nk", weight, gg), 1e-12))
         z = b / std

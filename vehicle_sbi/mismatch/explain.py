@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import logsumexp
 
 from vehicle_sbi.mismatch.candidates import Direction, null, shapes, slopes, within
 from vehicle_sbi.mismatch.detect import Linearised, Scores, profile, score
@@ -164,7 +163,7 @@ def _version(examined: Examined, effect: str, rows: Sequence[list[int]]) -> Vers
     """The likeliest of: one of the effect's parameters alone (averaged over its shapes), or all of them together."""
     scores = examined.scores
     evidence = scores.log_evidence
-    singles = [float(logsumexp(evidence[ks]) - np.log(len(ks))) for ks in rows]
+    singles = [float(np.logaddexp.reduce(evidence[ks]) - np.log(len(ks))) for ks in rows]
     leading = [ks[int(np.argmax(evidence[ks]))] for ks in rows]
     joint = examined.joint.get(effect)
     if joint is not None and joint.log_evidence > max(singles):
@@ -270,7 +269,7 @@ def _judge(pool: dict[tuple[str, ...], Model], first: Examined, best: Examined) 
     weights = {effects: _weight(model) for effects, model in pool.items()}
     odds = np.log(UNKNOWN * SURPRISE) + (SURPRISE - 1.0) * np.log(best.p_adequate)
     unknown = weights[best.model.effects] + float(odds)
-    total = float(logsumexp([*weights.values(), unknown]))
+    total = float(np.logaddexp.reduce([*weights.values(), unknown]))
     named = sorted((effects for effects in pool if effects), key=lambda effects: -weights[effects])
     return Explanation(
         models=[pool[effects] for effects in named],

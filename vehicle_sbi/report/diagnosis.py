@@ -57,7 +57,8 @@ def compared(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gai
     if not model.effects:
         return predictions, None
     predictions["extended"] = predict(model, case.held_out, apart=case.apart)
-    return predictions, gain(*predictions.values(), case.held_out.simulator.windows.rate)
+    rate = case.held_out.simulator.windows.rate
+    return predictions, gain(predictions["base"], predictions["extended"], rate)
 
 
 def _kept(folder: RunFolder, name: str, compute: Callable[[], Result]) -> Result:

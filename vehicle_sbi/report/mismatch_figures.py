@@ -42,8 +42,7 @@ def residuals(found: Explanation, answer: Verdict, path: Path) -> None:
             axis.axhline(0.0, color="#999999", linewidth=0.6)
         axes[-1].set_xlabel("time [s], recordings one after another")
         keys = [_key("base model", TRUTH), *([_key("extended model", POSTERIOR)] if model.effects else [])]
-        keys.append(Patch(color=PRIOR, label="more than noise"))
-        _save(figure, path, keys)
+        _save(figure, path, [*keys, Patch(color=PRIOR, label="more than noise")])
 
 
 def _smooth(values: np.ndarray, rate: float) -> np.ndarray:
