@@ -89,8 +89,8 @@ def blows(c: Car, effect: str, t: float) -> float:
 
 def gravity_along(c: Car, t: float) -> float:
     """g sin(grade) [m/s^2], the profile's grade on top of the constant one."""
-    knots = [c[f"road_grade_profile_angle_{i}"] for i in range(8)]
-    profile = np.interp(t, np.linspace(0.0, c["duration"], 8), knots)
+    knots = [c[f"road_grade_profile_angle_{i}"] for i in range(12)]
+    profile = np.interp(t, np.linspace(0.0, c["duration"], 12), knots)
     return G * math.sin(c["road_grade_angle"] + float(profile))
 
 

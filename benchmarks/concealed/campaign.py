@@ -16,6 +16,7 @@ from datetime import date
 from multiprocessing import get_context
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import yaml
 from tqdm import tqdm
@@ -55,7 +56,7 @@ def work(folder: Path, seed: int, index: int, stages: Mapping[str, bool], script
         cases.build(seed, index, folder, injected.build, list(injected.INJECTED))
         if stages["baselines"]:
             baselines.write(case)
-    except (InputError, RuntimeError) as error:
+    except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         return f"case {index}: {error}"
     if stages["diagnose"]:
         diagnose(case, script, timeout_s)
