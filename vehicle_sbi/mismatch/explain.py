@@ -185,14 +185,15 @@ def extended(model: Model, version: Version) -> Model | None:
     """The model with one more effect, all parameters fitted under noise of its own; None if it cannot be simulated."""
     simulator = model.fit.simulator
     boxes = {p.name: p for p in within(simulator, CATALOGUE[version.effect]).parameters}
-    added = [replace(boxes[p.name]) for p in version.start]
+    added = [boxes[p.name] for p in version.start]
     wider = replace(simulator, space=ParameterSpace((*simulator.space.parameters, *added)))
     start = np.concatenate([model.fit.theta, list(version.start.values())])
     found = descend(model.fit.observation.extended(wider), start, STEPS)
     if found is None:
         return None
     fit = with_own_noise(found, NOISE_ROUNDS, STEPS)
-    return Model(tuple(sorted((*model.effects, version.effect))), fit, float(np.hypot(model.explained, version.score)))
+    effects = tuple(sorted({*model.effects, version.effect}))  # another parameter of an effect is no further effect
+    return Model(effects, fit, float(np.hypot(model.explained, version.score)))
 
 
 @dataclass(frozen=True)
@@ -233,9 +234,11 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
     pool, best = {(): none}, first
     frontier = [first] if first.p_value < LEVEL else []
     for _ in range(MOST_EFFECTS):
-        grown = {
-            model.effects: model for examined in frontier for model in _grow(examined) if model.effects not in pool
-        }
+        grown: dict[tuple[str, ...], Model] = {}
+        for model in (model for examined in frontier for model in _grow(examined)):
+            known_already = grown.get(model.effects) or pool.get(model.effects)
+            if known_already is None or _weight(model) > _weight(known_already):
+                grown[model.effects] = model
         pool |= grown
         leading = sorted(grown.values(), key=_weight, reverse=True)[:BEAM]
         if not leading or _weight(leading[0]) <= _weight(best.model):

@@ -155,9 +155,15 @@ def verdict(
             name: {"before": _plain(before[name]), "after": _plain(after[name]), "unit": before[name].unit}
             for name in before
         },
-        notes=[*case.notes],
+        notes=[*_rim(explanation.base.model.fit), *case.notes],
         sentence=sentence(explanation, gained, together, seen, it_takes),
     )
+
+
+def _rim(fit: Fit) -> list[str]:
+    """Base parameters that want to leave their box: what is missing may hide in them."""
+    names = np.array(fit.simulator.space.names)[~fit.inside]
+    return [f"{name} lies on the edge of its prior in the base model, where a mismatch may hide." for name in names]
 
 
 def _advice(explanation: Explanation, together: Sequence[tuple[str, ...]]) -> str:
