@@ -28,6 +28,7 @@ MOST_EFFECTS = 3
 RELUCTANCE = (0.5, 0.4, 0.09, 0.01)  # prior probability of none, one, two, three effects
 UNKNOWN = 0.2  # prior odds of something outside the catalogue, beside the best model
 SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
+TEMPER = 0.6  # power of the evidence, set on 47 simulated diagnoses of their own
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
 HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance
@@ -198,14 +199,39 @@ def extended(model: Model, version: Version) -> Model | None:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Sets of effects with their probabilities, the most probable first; what is examined is base and best."""
+    """Sets of effects, the most probable first, beside the base model and the best one, which were examined."""
 
     models: list[Model]
-    probability: list[float]
-    p_none: float
-    p_unknown: float
     base: Examined
     best: Examined
+
+    @property
+    def _shares(self) -> Float[np.ndarray, " k"]:
+        """Probabilities of all sets, of none and of unknown, in this order.
+
+        Evidence is tempered: it takes the noise for exactly what it was modelled as and the search for complete, and
+        so comes out too sure. What is unknown is as probable as what the best model leaves over is surprising.
+        """
+        named = [_weight(model) for model in self.models]
+        odds = np.log(UNKNOWN * SURPRISE) + (SURPRISE - 1.0) * np.log(self.best.p_adequate)
+        unknown = TEMPER * _weight(self.best.model) + float(odds)
+        weights = np.array([*(TEMPER * w for w in named), TEMPER * _weight(self.base.model), unknown])
+        return np.exp(weights - np.logaddexp.reduce(weights))
+
+    @property
+    def probability(self) -> list[float]:
+        """Of each set of effects."""
+        return self._shares[:-2].tolist()
+
+    @property
+    def p_none(self) -> float:
+        """That nothing is missing."""
+        return float(self._shares[-2])
+
+    @property
+    def p_unknown(self) -> float:
+        """That something is missing which no set of known effects explains."""
+        return float(self._shares[-1])
 
     @property
     def p_value(self) -> float:
@@ -247,7 +273,8 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
         if best.p_value > LEVEL:
             break
         frontier = [best, *(examine(model, known, rng) for model in leading[1:])]
-    return _judge(pool, first, best)
+    named = sorted((model for model in pool.values() if model.effects), key=_weight, reverse=True)
+    return Explanation(named, first, best)
 
 
 def _grow(examined: Examined) -> Iterator[Model]:
@@ -265,20 +292,3 @@ def _weight(model: Model) -> float:
     """Log prior plus log evidence."""
     n = len(model.effects)
     return float(np.log(RELUCTANCE[n]) - n * np.log(len(CATALOGUE)) + model.log_evidence)
-
-
-def _judge(pool: dict[tuple[str, ...], Model], first: Examined, best: Examined) -> Explanation:
-    """Probabilities of all models that were fitted, and of what none of them explains."""
-    weights = {effects: _weight(model) for effects, model in pool.items()}
-    odds = np.log(UNKNOWN * SURPRISE) + (SURPRISE - 1.0) * np.log(best.p_adequate)
-    unknown = weights[best.model.effects] + float(odds)
-    total = float(np.logaddexp.reduce([*weights.values(), unknown]))
-    named = sorted((effects for effects in pool if effects), key=lambda effects: -weights[effects])
-    return Explanation(
-        models=[pool[effects] for effects in named],
-        probability=[float(np.exp(weights[effects] - total)) for effects in named],
-        p_none=float(np.exp(weights[()] - total)),
-        p_unknown=float(np.exp(unknown - total)),
-        base=first,
-        best=best,
-    )

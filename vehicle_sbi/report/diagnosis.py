@@ -23,7 +23,7 @@ from vehicle_sbi.report.run_folder import RunFolder
 from vehicle_sbi.report.tables import html
 from vehicle_sbi.rng import Stream, generator
 
-STARTS = 3  # of the fit of the base model
+SCREENED, STARTS = 32, 3  # points that are simulated, and of those the ones from which the base model is fitted
 Result = TypeVar("Result")
 
 
@@ -44,10 +44,15 @@ def diagnose(folder: RunFolder, case: Case, *, seed: int, figures: bool) -> None
 
 
 def fitted(case: Case, rng: np.random.Generator) -> Fit:
-    """The base model's fit, from the middle of its prior and from points drawn inside it."""
-    space = case.observation.simulator.space
-    drawn = rng.uniform(space.low, space.high, (STARTS - 1, len(space)))
-    return best(case.observation, np.concatenate([(space.low + space.high)[None] / 2, drawn]))
+    """The base model's fit, from the best of many points of its prior: at the limit most of them spin out."""
+    simulator, observed = case.observation.simulator, case.observation.observed
+    space, valid = simulator.space, simulator.windows.valid
+    points = np.concatenate(
+        [(space.low + space.high)[None] / 2, rng.uniform(space.low, space.high, (SCREENED, len(space)))]
+    )
+    off = np.where(valid, (observed - simulator.noise_free(points)) / simulator.noise.floor[:, None], 0.0)
+    misfit = np.nan_to_num(np.sum(off**2, axis=(1, 2)), nan=np.inf)
+    return best(case.observation, points[np.argsort(misfit)[:STARTS]])
 
 
 def compared(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gain | None]:
