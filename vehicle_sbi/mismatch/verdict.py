@@ -195,42 +195,51 @@ def sentence(
     seen: Card,
     it_takes: Latent | None,
 ) -> str:
-    """The diagnosis in a sentence or two, for people."""
+    """The diagnosis in a few sentences, for people."""
     if not explanation.detected:
         return (
             f"Nothing is missing as far as these recordings can tell (p = {explanation.p_value:.2g}): "
             f"what is left over looks like noise. {_limits(seen)}"
         )
-    where = places(explanation)
-    text = f"Simulation and recording differ (p = {explanation.p_value:.2g})"
-    if where:
-        text += f", most of all in {where[0].channel} {_when(where[0].regime, where[0].from_s, where[0].to_s)}"
-    best = explanation.models[0] if explanation.models else None
-    if best is None:
-        text += "; no known effect explains any of it."
-        return f"{text} {it_takes.sentence}" if it_takes else text
+    said = [_difference(explanation), *_answer(explanation)]
+    if it_takes is not None:
+        said.append(it_takes.sentence)
+    others = [effects for effects in together if effects != explanation.models[0].effects]
+    if others:
+        said.append(f"These recordings cannot tell it from {', or '.join(_listed(o) for o in others)}.")
+    if gained is not None:
+        gain = f"On held-out data the extended model gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample"
+        said.append(f"{gain}." if gained.certain else f"{gain}, which is not certain to be a gain.")
+    return " ".join(said)
+
+
+def _difference(explanation: Explanation) -> str:
+    """That they differ, and where most."""
+    where = [
+        f", most of all in {place.channel} {_when(place.regime, place.from_s, place.to_s)}"
+        for place in places(explanation)[:1]
+    ]
+    return f"Simulation and recording differ (p = {explanation.p_value:.2g}){''.join(where)}."
+
+
+def _answer(explanation: Explanation) -> list[str]:
+    """What explains it, as far as anything known does."""
+    if not explanation.models:
+        return ["No known effect explains any of it."]
+    best = explanation.models[0]
+    verb = "explains" if len(best.effects) == 1 else "explain"
+    named = f"{_listed(best.effects)} {verb} it with probability {explanation.probability[0]:.2f}"
+    if explanation.p_unknown > sum(explanation.probability):
+        left = explanation.best.largest_block
+        named = (
+            f"No known effect explains all of it: {_listed(best.effects)} {verb} "
+            f"{explanation.best.share_explained:.0%} at most, and something unknown remains in {left.channel} "
+            f"{_when(left.regime, left.from_s, left.to_s)}"
+        )
+    meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
     own = {k: v for k, v in estimates(best.fit).items() if k.split(".")[0] in best.effects}
     sizes = "; ".join(quantity(name, e) for name, e in own.items())
-    meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
-    verb = "explains" if len(best.effects) == 1 else "explain"
-    if explanation.p_unknown > sum(explanation.probability):
-        text += f"; no known effect explains all of it. {_listed(best.effects)} {verb}"
-        text += f" {explanation.best.share_explained:.0%} at most, and something unknown remains"
-        left = explanation.best.largest_block
-        text += f" in {left.channel} {_when(left.regime, left.from_s, left.to_s)}: {meaning} ({sizes})."
-        text += f" {it_takes.sentence}" if it_takes else ""
-    else:
-        text += f". {_listed(best.effects)} {verb} it with probability {explanation.probability[0]:.2f}: "
-        text += f"{meaning} ({sizes})."
-    others = [effects for effects in together if tuple(effects) != best.effects]
-    if others:
-        text += f" These recordings cannot tell it from {', or '.join(_listed(o) for o in others)}."
-    if gained is not None:
-        text += (
-            f" On held-out data the extended model gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample"
-            + ("." if gained.certain else ", which is not certain to be a gain.")
-        )
-    return text
+    return [f"{named}: {meaning} ({sizes})."]
 
 
 def _limits(seen: Card) -> str:
