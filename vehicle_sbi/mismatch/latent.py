@@ -53,7 +53,7 @@ class Latent:
         """What it would take, in words."""
         k = self.largest
         return (
-            f"It would take a {self.quantity} of up to {self.size[k]:.2g} {self.unit} "
+            f"What is left over would take a {self.quantity} of up to {self.size[k]:.3g} {self.unit} "
             f"from {self.from_s[k]:.1f} to {self.to_s[k]:.1f} s."
         )
 
