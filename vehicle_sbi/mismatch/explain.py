@@ -257,7 +257,8 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
     """Search sets of effects from the base model on, among the directions that are known to act at its fit."""
     none = Model((), base, 0.0)
     first = examine(none, known, rng)
-    pool, best = {(): none}, first
+    pool: dict[tuple[str, ...], Model] = {(): none}
+    best = first
     frontier = [first] if first.p_value < LEVEL else []
     for _ in range(MOST_EFFECTS):
         grown: dict[tuple[str, ...], Model] = {}
