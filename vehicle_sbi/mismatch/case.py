@@ -14,6 +14,7 @@ from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.parameters import ParameterSpace
 
 HELD_OUT = 0.25  # share of the recordings' time that is held out where no recording is
+BLOCK_S = 10.0  # [s] of a block that is held out, or a window if that is longer
 MOST_SAMPLES = 60_000  # of the recordings together; longer ones are averaged to a lower rate
 MOST_WINDOWS = 40  # into which recordings are cut for fitting; longer ones get longer windows
 STIFFEST = 2.0  # step times rate: modes this fast are stable (to 2.78) and gone within a sample, at half the cost
@@ -62,12 +63,15 @@ class Diagnosis(Setup):
         n = len(training_files)
         training, held = list(zip(files, read, strict=True))[:n], list(zip(files, read, strict=True))[n:]
         names = tuple(recording.name for _, recording in held)
+        longer = replace(self, window_s=max(self.window_s, sum(len(r.t) / r.rate for r in read) / MOST_WINDOWS))
         if not held:
-            parts = [(file, recording.holdout(share=HELD_OUT)) for file, recording in training]
+            parts = [
+                (file, recording.holdout(share=HELD_OUT, block_s=max(BLOCK_S, longer.window_s)))
+                for file, recording in training
+            ]
             training = [(file, kept) for file, (kept, _) in parts]
             held = [(file, out) for file, (_, out) in parts]
             names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
-        longer = replace(self, window_s=max(self.window_s, sum(len(r.t) / r.rate for r in read) / MOST_WINDOWS))
         observation = longer.observe(space, training)
         return Case(
             name=f"{self.vehicle.name} from {', '.join(recording.name for _, recording in training)}",
