@@ -239,7 +239,7 @@ class Metric:
 def _kind(*kinds: str, detected: bool = False) -> Callable[[pd.DataFrame], pd.Series]:
     def among(t: pd.DataFrame) -> pd.Series:
         kept = t["kind"].isin(kinds) & t["detectable"].astype(bool)
-        return kept & (t["detected"] == True) if detected else kept  # noqa: E712 (None is neither)
+        return kept & t["detected"].eq(True) if detected else kept  # None is neither
 
     return among
 
@@ -322,7 +322,7 @@ def misses(table: pd.DataFrame) -> pd.DataFrame:
     alone = table[table["kind"].isin(["single", "outside"]) & table["detected"].notna()] if "detected" in table else []
     rows = []
     for effect, part in pd.DataFrame(alone).groupby("effects", sort=True) if len(alone) else ():
-        wrong = part.loc[(part["detected"] == True) & (part["correct"] == False), "answer"]  # noqa: E712
+        wrong = part.loc[part["detected"].eq(True) & part["correct"].eq(False), "answer"]
         rows.append(
             {
                 "effect": effect,

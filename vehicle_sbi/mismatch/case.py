@@ -50,20 +50,11 @@ class Diagnosis(Setup):
         """Read everything; InputError for recordings that do not go together, or a box without its effect's null."""
         space = self.space()
         _check_nulls(space)
-        training_files = self._files(self.recordings or [self.recording])
-        files = [*training_files, *self._files(self.heldout)]
-        read = [file.load() for file in files]
-        most = max(sum(len(r.t) for r in part) for part in (read[: len(training_files)], read[len(training_files) :]))
-        read = [recording.decimated(-(-most // MOST_SAMPLES)) for recording in read]
-        twice = {recording.source for recording in read[len(training_files) :]} & {
-            r.source for r in read[: len(training_files)]
-        }
-        if twice:
-            raise InputError(f"heldout: {', '.join(sorted(twice))} is also fitted; hold out another recording")
-        n = len(training_files)
-        training, held = list(zip(files, read, strict=True))[:n], list(zip(files, read, strict=True))[n:]
+        training, held = self._read()
+        inputs = {recording.source: recording.sha256 for _, recording in (*training, *held)}
         names = tuple(recording.name for _, recording in held)
-        longer = replace(self, window_s=max(self.window_s, sum(len(r.t) / r.rate for r in read) / MOST_WINDOWS))
+        seconds = sum(len(recording.t) / recording.rate for _, recording in (*training, *held))
+        longer = replace(self, window_s=max(self.window_s, seconds / MOST_WINDOWS))
         if not held:
             parts = [
                 (file, recording.holdout(share=HELD_OUT, block_s=max(BLOCK_S, longer.window_s)))
@@ -80,8 +71,22 @@ class Diagnosis(Setup):
             held_out_names=names,
             apart=bool(self.heldout),
             notes=observation.simulator.windows.notes,
-            inputs={recording.source: recording.sha256 for recording in read},
+            inputs=inputs,
         )
+
+    def _read(self) -> tuple[list[tuple[RecordingFile, Recording]], list[tuple[RecordingFile, Recording]]]:
+        """Recordings to fit and to hold out with the files that they come from, at a rate that fits in memory."""
+        training, held = (
+            [(file, file.load()) for file in self._files(given)]
+            for given in (self.recordings or [self.recording], self.heldout)
+        )
+        twice = {recording.source for _, recording in held} & {recording.source for _, recording in training}
+        if twice:
+            raise InputError(f"heldout: {', '.join(sorted(twice))} is also fitted; hold out another recording")
+        most = max(sum(len(recording.t) for _, recording in part) for part in (training, held))
+        factor = -(-most // MOST_SAMPLES)
+        slower = [[(file, recording.decimated(factor)) for file, recording in part] for part in (training, held)]
+        return slower[0], slower[1]
 
     def _files(self, given: Sequence[str | RecordingFile]) -> list[RecordingFile]:
         """Paths with the settings of `recording`, and named recordings with their own."""

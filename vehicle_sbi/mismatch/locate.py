@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.physics.single_track import INPUTS
@@ -27,6 +27,11 @@ class Block:
     from_s: float
     to_s: float
     regime: str = ""
+
+    def holds(self, other: "Block") -> bool:
+        """Whether the other block begins within this one, in the same channel and regime."""
+        same = (self.channel, self.regime) == (other.channel, other.regime)
+        return same and self.from_s <= other.from_s <= self.to_s
 
 
 def clock(simulator: Simulator) -> Float[np.ndarray, " time"]:
@@ -49,7 +54,7 @@ def bump(t: Float[np.ndarray, " time"], start: float, stop: float) -> Float[np.n
 
 
 def regimes(simulator: Simulator, y: Float[np.ndarray, "channels time"]) -> dict[str, Float[np.ndarray, " time"]]:
-    """Signals of the drive whose extremes make a regime: its name, and a value per sample that is zero on average."""
+    """Signals of the drive whose extremes make a regime, by name, a value per sample."""
     u = simulator.windows.u.reshape(-1, len(INPUTS))
     steering, rate = u[:, INPUTS.index("steering")], simulator.windows.rate
     signals = {"|steering|": np.abs(steering), "steering rate": np.abs(np.gradient(steering) * rate)}
@@ -64,7 +69,10 @@ def regimes(simulator: Simulator, y: Float[np.ndarray, "channels time"]) -> dict
 def blocks(
     simulator: Simulator, y: Float[np.ndarray, "channels time"]
 ) -> tuple[list[Block], Float[np.ndarray, "k channels time"]]:
-    """Every block and the change of the series that it stands for, of unit height."""
+    """Every block and the change of the series that it stands for.
+
+    That is a bump or a step of height one, or a change of the channel's gain in proportion to a signal of the drive.
+    """
     t, channels = clock(simulator), simulator.windows.channels
     rows: list[Block] = []
     bumps: list[np.ndarray] = []
@@ -101,5 +109,5 @@ def merged(found: Sequence[Block], score: Float[np.ndarray, " k"]) -> list[tuple
     return sorted(whole, key=lambda pair: -pair[1])
 
 
-def _touch(a: Block, b: Block) -> Bool:
+def _touch(a: Block, b: Block) -> bool:
     return a.channel == b.channel and a.regime == b.regime == "" and b.from_s <= a.to_s

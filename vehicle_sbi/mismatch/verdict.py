@@ -103,16 +103,10 @@ def places(explanation: Explanation) -> list[Place]:
     significant = np.flatnonzero(p < 0.05)
     whole = merged([explanation.base.blocks[k] for k in significant], z[significant])
     total = sum(energy for _, energy in whole)
-    smallest = {}
-    for k in significant:
-        block = explanation.base.blocks[k]
-        for place, _ in whole:
-            if (block.channel, block.regime) == (
-                place.channel,
-                place.regime,
-            ) and place.from_s <= block.from_s <= place.to_s:
-                smallest[place] = min(p[k], smallest.get(place, 1.0))
-    return [Place(b.channel, b.from_s, b.to_s, float(smallest[b]), energy / total, b.regime) for b, energy in whole]
+    smallest = {
+        place: min(float(p[k]) for k in significant if place.holds(explanation.base.blocks[k])) for place, _ in whole
+    }
+    return [Place(b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime) for b, energy in whole]
 
 
 def _named(model: Model, probability: float) -> Named:

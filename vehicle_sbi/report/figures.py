@@ -47,12 +47,12 @@ MASSES = (0.95, 0.8, 0.6, 0.4, 0.2)  # shares of the posterior inside the filled
 _BLUES = LinearSegmentedColormap.from_list("posterior", ("#dbe9f5", POSTERIOR, "#123a5c"))
 
 
-def _save(figure: Figure, path: Path, legend: Sequence[Artist], *, columns: int = 4) -> None:
+def save(figure: Figure, path: Path, legend: Sequence[Artist], *, columns: int = 4) -> None:
     figure.legend(handles=list(legend), loc="outside upper center", ncols=columns)
     write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None}))
 
 
-def _key(label: str, color: str, **style: Any) -> Line2D:
+def key(label: str, color: str, **style: Any) -> Line2D:
     return Line2D([], [], color=color, label=label, **style)
 
 
@@ -91,11 +91,11 @@ def pairplot(
         zoomed = any(a > p.low or b < p.high for (a, b), p in zip(spans, space.parameters, strict=True))
         keys = [
             Patch(color=POSTERIOR, alpha=0.5, label="posterior"),
-            *([_key("true value", TRUTH, marker="o", markersize=4.5)] if true is not None else []),
-            _key("prior", **PRIOR_EDGE),
+            *([key("true value", TRUTH, marker="o", markersize=4.5)] if true is not None else []),
+            key("prior", **PRIOR_EDGE),
             *([Patch(color=POSTERIOR, label="part of the prior shown")] if zoomed else []),
         ]
-        _save(figure, path, keys, columns=len(keys) if d > 4 else 2)
+        save(figure, path, keys, columns=len(keys) if d > 4 else 2)
 
 
 def _span(x: Float[np.ndarray, " n"], low: float, high: float, true: float) -> Span:
@@ -213,12 +213,12 @@ def predictive(
             axis.margins(x=0.01)
         figure.align_ylabels(axes[:, 0])
         keys = [
-            _key("recorded", MEASURED, linewidth=1.0),
-            _key("predicted median", POSTERIOR),
+            key("recorded", MEASURED, linewidth=1.0),
+            key("predicted median", POSTERIOR),
             Patch(facecolor="#bfd3e6", edgecolor=POSTERIOR, label="90 % of predictions"),
             *([] if np.all(valid) else [Patch(color=PRIOR, label="not used")]),
         ]
-        _save(figure, path, keys)
+        save(figure, path, keys)
 
 
 def _broken(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -269,11 +269,11 @@ def losses(history: Sequence[Sequence[Mapping[str, Sequence[float]]]], path: Pat
         for axis in axes[len(history) :]:
             axis.set_axis_off()
         keys = [
-            _key("training", MEASURED, linewidth=1.0),
-            _key("validation", POSTERIOR),
-            _key("kept", POSTERIOR, marker="o", linestyle="", markerfacecolor="white"),
+            key("training", MEASURED, linewidth=1.0),
+            key("validation", POSTERIOR),
+            key("kept", POSTERIOR, marker="o", linestyle="", markerfacecolor="white"),
         ]
-        _save(figure, path, keys)
+        save(figure, path, keys)
 
 
 def _loss_curves(axis: Axes, member: Mapping[str, Sequence[float]]) -> None:
@@ -319,11 +319,11 @@ def contraction_bars(table: pd.DataFrame, path: Path) -> None:
             axis.annotate(text, (1.02, height), xycoords=("axes fraction", "data"), va="center", fontsize=8.5)
         keys = [
             Patch(color=POSTERIOR, label="posterior"),
-            _key("Cramér-Rao bound", BOUND, linewidth=3.0),
-            _key("prior", **PRIOR_EDGE),
+            key("Cramér-Rao bound", BOUND, linewidth=3.0),
+            key("prior", **PRIOR_EDGE),
             *([] if known.all() else [Patch(color=NO_ANSWER, label="not identified")]),
         ]
-        _save(figure, path, keys)
+        save(figure, path, keys)
 
 
 def _remarks(table: pd.DataFrame) -> Iterator[str]:

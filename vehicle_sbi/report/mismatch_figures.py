@@ -15,7 +15,7 @@ from vehicle_sbi.mismatch.improve import Prediction
 from vehicle_sbi.mismatch.verdict import Verdict, chosen
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.single_track import INPUTS
-from vehicle_sbi.report.figures import MEASURED, POSTERIOR, PRIOR, STYLE, TRUTH, _key, _save
+from vehicle_sbi.report.figures import MEASURED, POSTERIOR, PRIOR, STYLE, TRUTH, key, save
 from vehicle_sbi.report.tables import symbol, unit_symbol
 
 MOST_BARS = 8
@@ -41,8 +41,8 @@ def residuals(found: Explanation, answer: Verdict, path: Path) -> None:
             axis.set_ylabel(f"{symbol(name)} [{unit_symbol(CHANNELS[name].unit)}]")
             axis.axhline(0.0, color="#999999", linewidth=0.6)
         axes[-1].set_xlabel("time [s], recordings one after another")
-        keys = [_key("base model", TRUTH), *([_key("extended model", POSTERIOR)] if model.effects else [])]
-        _save(figure, path, [*keys, Patch(color=PRIOR, label="more than noise")])
+        keys = [key("base model", TRUTH), *([key("extended model", POSTERIOR)] if model.effects else [])]
+        save(figure, path, [*keys, Patch(color=PRIOR, label="more than noise")])
 
 
 def _smooth(values: np.ndarray, rate: float) -> np.ndarray:
@@ -70,7 +70,7 @@ def probabilities(answer: Verdict, path: Path) -> None:
             axis.text(value + 0.01, i, f"{value:.3f}", va="center", fontsize=8)
         axis.set_xlim(0.0, 1.1)
         axis.set_xlabel("probability")
-        _save(figure, path, [])
+        save(figure, path, [])
 
 
 def shifts(answer: Verdict, space: ParameterSpace, path: Path) -> None:
@@ -87,7 +87,7 @@ def shifts(answer: Verdict, space: ParameterSpace, path: Path) -> None:
         axis.set_yticks([-i for i in range(len(names))], [symbol(name) for name in names])
         axis.set_xlim(-0.02, 1.02)
         axis.set_xticks([0, 0.5, 1], ["prior's low end", "", "prior's high end"])
-        _save(figure, path, [_key("base model", TRUTH), _key("extended model", POSTERIOR)])
+        save(figure, path, [key("base model", TRUTH), key("extended model", POSTERIOR)])
 
 
 def held_out_figure(held_out: Observation, predictions: Mapping[str, Prediction], path: Path) -> None:
@@ -107,6 +107,6 @@ def held_out_figure(held_out: Observation, predictions: Mapping[str, Prediction]
                 axis.plot(t, np.where(valid, prediction.y[i], np.nan), color=color, linewidth=1.0)
             axis.set_ylabel(f"{symbol(name)} [{unit_symbol(CHANNELS[name].unit)}]")
         axes[-1].set_xlabel("time [s], windows one after another")
-        keys = [_key("recorded", MEASURED), _key("base model", TRUTH)]
-        keys += [_key("extended model", POSTERIOR)] if len(predictions) > 1 else []
-        _save(figure, path, [*keys, Patch(color=POSTERIOR, alpha=0.25, label="its 90 % band")])
+        keys = [key("recorded", MEASURED), key("base model", TRUTH)]
+        keys += [key("extended model", POSTERIOR)] if len(predictions) > 1 else []
+        save(figure, path, [*keys, Patch(color=POSTERIOR, alpha=0.25, label="its 90 % band")])
