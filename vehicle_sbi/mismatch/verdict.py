@@ -1,5 +1,6 @@
 """The answer: as a typed value, as a sentence, and as the JSON that other tools read."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
@@ -142,7 +143,7 @@ def verdict(
         p_none=explanation.p_none,
         p_unknown=explanation.p_unknown + rest,
         unknown=it_takes,
-        indistinguishable=[list(effects) for effects in together] if len(together) > 1 else [],
+        indistinguishable=exchangeable(together),
         separating_experiment=_advice(explanation, together),
         fit=fit,
         base_parameters={
@@ -152,6 +153,17 @@ def verdict(
         notes=[*_rim(explanation.base.model.fit), *case.notes],
         sentence=sentence(explanation, gained, together, seen, it_takes),
     )
+
+
+def exchangeable(together: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Groups of effects that stand for each other: exchanging one for another makes one explanation of the next."""
+    groups: list[set[str]] = []
+    for a, b in itertools.combinations([set(effects) for effects in together], 2):
+        if len(a - b) == len(b - a) == 1:
+            pair = a ^ b
+            pair = pair.union(*(group for group in groups if group & pair))
+            groups = [group for group in groups if not group & pair] + [pair]
+    return [sorted(group) for group in groups]
 
 
 def _rim(fit: Fit) -> list[str]:
