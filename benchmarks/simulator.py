@@ -67,7 +67,7 @@ def strip() -> None:
 
 
 def inputs() -> np.ndarray:
-    """The paper's manoeuvre: a sine on the steering, a square wave of torque; shape (1, time, 8)."""
+    """The paper's manoeuvre: a sine on the steering, a square wave of torque; shape (1, time, 9)."""
     t = np.arange(SAMPLES) / RATE
     driving = (t % 5.0) < 2.5
     u = np.zeros((1, SAMPLES, 8))

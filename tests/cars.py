@@ -10,7 +10,7 @@ from numba import njit
 from vehicle_sbi.physics.effects import RECORD, derive, nominal_record
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, MOTION
 from vehicle_sbi.physics.simulation import FINISHED, MODELS, batch_simulator, drive_through
-from vehicle_sbi.physics.single_track import DRIVES, INPUTS
+from vehicle_sbi.physics.single_track import DRIVES, INPUTS, TIME
 from vehicle_sbi.physics.vehicle import Vehicle
 
 # The constants of the design's closed forms; rigid tyres without relaxation.
@@ -44,11 +44,11 @@ def record_of(vehicle: Vehicle, **fields: float) -> np.ndarray:
 
 
 def paper_manoeuvre(size: tuple[float, float, float] = MILD, seconds: float = 5.0) -> np.ndarray:
-    """The paper's drive, inputs (time, 8): sine steering of 4 s, square-wave torque of 5 s, brakes 60 % front."""
+    """The paper's drive, inputs (time, 9): sine steering of 4 s, square-wave torque of 5 s, brakes 60 % front."""
     t = np.arange(round(seconds * RATE)) / RATE
     driving = t % 5.0 < 2.5
     u = np.zeros((len(t), len(INPUTS)))
-    u[:, -1] = t
+    u[:, TIME] = t
     u[:, 0] = size[0] * np.sin(2.0 * math.pi * t / 4.0)
     u[:, 1] = np.where(driving, size[1], 0.6 * size[2])
     u[:, 2] = np.where(driving, 0.0, 0.4 * size[2])
@@ -68,7 +68,7 @@ def coasting(v_x: float, seconds: float, rate: float = RATE) -> np.ndarray:
     """No steering, no torque; the recorded speed, where a drive mode reads it, is constant."""
     u = np.zeros((round(seconds * rate) + 1, len(INPUTS)))
     u[:, 3] = v_x
-    u[:, -1] = np.arange(len(u)) / rate
+    u[:, TIME] = np.arange(len(u)) / rate
     return u
 
 
@@ -133,7 +133,7 @@ def integrator(model: str) -> Callable[..., int]:
 def integrated(
     records: np.ndarray, drive: str, u: np.ndarray, initial: Sequence[float], *, model: str = "single_track"
 ) -> np.ndarray:
-    """MOTION (time, 14) of the first record straight from the integrator, fed with u (time, 8) itself."""
+    """MOTION (time, 14) of the first record straight from the integrator, fed with u (time, 9) itself."""
     p, motion = records[0], np.empty((len(u), len(MOTION)))
     derive(p)
     none = np.zeros((1, 4))
@@ -154,7 +154,7 @@ def simulate(
     stiffness_noise: np.ndarray | None = None,
     input_noise: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """All MEASUREMENTS of n records over one window, (n, 10, time), and their outcomes (n,); u (time, 8)."""
+    """All MEASUREMENTS of n records over one window, (n, 10, time), and their outcomes (n,); u (time, 9)."""
     n = len(records)
     start = np.broadcast_to(np.asarray(initial, dtype=float), (n, 1, 3)).copy()
     y, outcomes = np.empty((n, len(MEASUREMENTS), len(u))), np.full(n, -1)

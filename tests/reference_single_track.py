@@ -283,7 +283,7 @@ def start(c: Car, drive: str, u: np.ndarray, initial: np.ndarray) -> np.ndarray:
 def integrate(
     c: Car, drive: str, u: np.ndarray, rate: float, initial: np.ndarray, rtol: float = 1e-10, method: str = "DOP853"
 ) -> np.ndarray:
-    """v_x, v_y, r, a_x, a_y, r', omega_f, omega_r at each sample, (time, 8); inputs (time, 8) linear in between."""
+    """v_x, v_y, r, a_x, a_y, r', omega_f, omega_r at each sample, (time, 8); inputs (time, 9) linear in between."""
     state, motion = start(c, drive, u[0], initial), []
     for k in range(len(u)):
         state = impose(drive, state, u[k])

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.candidates import responses
-from vehicle_sbi.mismatch.latent import DURATION, FORCES, START, latents, what_it_takes
+from vehicle_sbi.mismatch.detect import Linearised, profile
+from vehicle_sbi.mismatch.latent import latents, what_it_takes
+from vehicle_sbi.mismatch.laws import Law, law_slopes, targets, under
 from vehicle_sbi.mismatch.locate import bump, clock, stretches
 
 
@@ -20,18 +21,23 @@ def test_the_bumps_of_all_stretches_add_up_to_one() -> None:
 
 
 def test_a_push_on_the_body_is_found_where_and_as_large_as_it_was() -> None:
-    # 1500 N to the left for the length of a stretch: what it takes in that stretch is that, to four standard errors,
-    # which the noise of a_y (0.15 m/s^2) over 1.5 s at 50 Hz makes 0.15 m / sqrt(75) each.
+    # 1500 N to the left for the length of a stretch come out as that, to four of the standard errors that the information
+    # about all stretches together has.
     sim = lateral()
-    start, stop = stretches(sim)[6]
-    push = {FORCES["force along y"]: 1500.0, START: start, DURATION: stop - start}
-    clean, pushed = responses(sim, TRUTH, [{}, push])
+    course = bump(clock(sim), *stretches(sim)[6])
+    push = next(target for target in targets(sim, np.zeros(sim.shape)) if target.name == "force along y")
+    law = Law(push, "a stretch", course.reshape(sim.windows.t.shape))
+    pushed = under(sim, law).noise_free(np.array([[*TRUTH, 0.0], [*TRUTH, 1500.0]]))
     observation = recorded(sim, seed=3)
-    fit = fitted(replace(observation, observed=observation.observed + pushed - clean))
+    fit = fitted(replace(observation, observed=observation.observed + pushed[1] - pushed[0]))
     found = latents(fit)[0]
     assert found.quantity == "force along y"
-    assert found.from_s[found.largest] == pytest.approx(start)
-    assert found.size[6] == pytest.approx(1500.0, abs=4 * 0.15 / np.sqrt(75) * float(sim.nominal["m"]) * 2)
+    assert found.largest == 6
+    courses = [bump(clock(sim), *span).reshape(sim.windows.t.shape) for span in stretches(sim)]
+    slopes = law_slopes(sim, fit.theta, fit.at.y, [Law(push, f"{k}", c) for k, c in enumerate(courses)])
+    free = np.full((1, len(courses)), np.inf)
+    information = profile(Linearised.of(fit), slopes[None], -free, free).information[0]
+    assert found.size[6] == pytest.approx(1500.0, abs=4.0 * np.sqrt(np.linalg.inv(information)[6, 6]))
 
 
 def test_a_sensor_that_drifts_is_told_from_a_force() -> None:
@@ -40,7 +46,7 @@ def test_a_sensor_that_drifts_is_told_from_a_force() -> None:
     drift[1] = 0.6 * bump(clock(observation.simulator), 4.0, 6.0)
     found = what_it_takes(fitted(replace(observation, observed=observation.observed + drift)))
     assert found is not None
-    assert found.quantity == "drift of the sensor of a_y"
+    assert found.quantity == "error of the sensor of a_y"
     assert found.from_s[found.largest] < 5.0 < found.to_s[found.largest]
 
 

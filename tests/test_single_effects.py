@@ -44,7 +44,7 @@ def rolling(*, wheels: float = V / 0.344) -> np.ndarray:
 
 
 def inputs(t: float = 0.0) -> np.ndarray:
-    return np.array([0.0] * (len(INPUTS) - 1) + [t])
+    return np.array([t if name == "time" else 0.0 for name in INPUTS])
 
 
 # --- command to wheels ----------------------------------------------------------------------------------------------
@@ -227,37 +227,63 @@ def test_gust_begins_and_ends_when_it_says() -> None:
     assert sum(gust(p, t)[0] for t in middles) * 1e-4 == pytest.approx(500.0, rel=1e-6)
 
 
+def following(u: np.ndarray, course: np.ndarray) -> np.ndarray:
+    """The inputs with what a latent load follows."""
+    u = u.copy()
+    u[:, INPUTS.index("latent")] = course
+    return u
+
+
 @pytest.mark.parametrize("model", MODELS)
-def test_latent_side_force_and_moment_are_those_of_a_gust(model: str) -> None:
+def test_latent_side_force_and_moment_that_last_are_a_crosswind(model: str) -> None:
     # An arm of 1/2 m multiplies without rounding: bit for bit the same drive.
-    blow = {"gust_force": 900.0, "gust_arm": 0.5, "gust_start": 1.0, "gust_duration": 0.8}
-    load = {"latent_y": 900.0, "latent_z": 450.0, "latent_start": 1.0, "latent_duration": 0.8}
-    y, expected = (
-        finished(record_of(PAPER, **fields), "torque", exciting(4.0), (V, 0.0, 0.0), model=model)
-        for fields in (load, blow)
-    )
-    assert np.array_equal(y, expected)
-    assert not np.array_equal(y, finished(record_of(PAPER), "torque", exciting(4.0), (V, 0.0, 0.0), model=model))
+    u = exciting(4.0)
+    wind = record_of(PAPER, crosswind_force=900.0, crosswind_arm=0.5)
+    load = record_of(PAPER, latent_y=900.0, latent_z=450.0)
+    y = finished(load, "torque", following(u, np.ones(len(u))), (V, 0.0, 0.0), model=model)
+    assert np.array_equal(y, finished(wind, "torque", u, (V, 0.0, 0.0), model=model))
+    assert not np.array_equal(y, finished(record_of(PAPER), "torque", u, (V, 0.0, 0.0), model=model))
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_latent_load_that_lasts_no_time_is_none(model: str) -> None:
-    idle = record_of(PAPER, latent_x=-800.0, latent_y=500.0, latent_z=300.0, latent_start=1.0)
+def test_latent_load_that_follows_nothing_is_none(model: str) -> None:
+    idle = record_of(PAPER, latent_x=-800.0, latent_y=500.0, latent_z=300.0, latent_steering=0.1, latent_sensor=1.0)
     y, plain = (finished(p, "torque", exciting(4.0), (V, 0.0, 0.0), model=model) for p in (idle, record_of(PAPER)))
     assert np.array_equal(y, plain)
 
 
 def test_latent_force_along_accelerates_a_rolling_car_while_it_lasts() -> None:
     # F_x = -m g sin(angle) moves the body and two axles that turn; wheels lag by a slip of I_w a/(R^2 C) = 3e-4 of 5 %.
-    # An accelerometer reads it, which on a real slope gravity hides.
+    # An accelerometer reads it, which on a real slope gravity hides. Inputs are linear between samples.
     angle, mass = 0.05, M + 2 * 3.4 / 0.344**2
-    push = {"latent_x": -M * G * math.sin(angle), "latent_start": 0.5, "latent_duration": 1.0}
-    y = finished(record_of(RIGID, **push), "torque", coasting(V, 2.0), (V, 0.0, 0.0))
-    t = np.arange(y.shape[1]) / RATE
+    u = coasting(V, 2.0)
+    t = np.arange(len(u)) / RATE
+    course = ((t > 0.5) & (t < 1.5)).astype(float)
+    y = finished(record_of(RIGID, latent_x=-M * G * math.sin(angle)), "torque", following(u, course), (V, 0.0, 0.0))
     assert not y[A_X, t < 0.5].any()
     during = (t > 0.5 + 2.0 * EDGE) & (t < 1.5)
     assert y[A_X, during] == pytest.approx(-M * G * math.sin(angle) / mass, rel=1e-4)
     assert np.abs(y[A_X, t > 1.5 + 2.0 * EDGE]).max() < 1e-4 * G * math.sin(angle)
+
+
+def test_latent_steering_in_proportion_to_steering_is_its_ratio() -> None:
+    # To the rounding of delta + 0.1 delta against 1.1 delta, which a stable car does not enlarge.
+    u = exciting(4.0)
+    y = finished(record_of(PAPER, latent_steering=0.1), "torque", following(u, u[:, 0]), (V, 0.0, 0.0))
+    turned = u.copy()
+    turned[:, 0] *= 1.1
+    assert np.allclose(y, finished(record_of(PAPER), "torque", turned, (V, 0.0, 0.0)), rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("row", [A_X, A_Y, YAW])
+def test_latent_error_of_a_sensor_is_in_its_row_alone(row: int) -> None:
+    u = exciting(4.0)
+    course = np.sin(np.arange(len(u)) / 50.0)
+    p = record_of(PAPER, latent_sensor=0.3, latent_row=float(row))
+    plain = finished(record_of(PAPER), "torque", u, (V, 0.0, 0.0))
+    expected = plain.copy()
+    expected[row] += 0.3 * course
+    assert np.array_equal(finished(p, "torque", following(u, course), (V, 0.0, 0.0)), expected)
 
 
 def test_profile_of_equal_knots_is_a_constant_grade() -> None:

@@ -51,7 +51,7 @@ class Manoeuvre:
                 "low must not exceed high, and the model holds above 1 m/s"
             )
 
-    def inputs(self, vehicle: Vehicle) -> Float[np.ndarray, "time 8"]:
+    def inputs(self, vehicle: Vehicle) -> Float[np.ndarray, "time 9"]:
         """The inputs in the order of INPUTS, torques split between the axles as the vehicle does."""
         t = np.arange(round(self.duration * self.rate)) / self.rate
         driving = (t % self.torque_period) < self.torque_period / 2

@@ -95,7 +95,7 @@ class Windows:
     """
 
     rate: float
-    u: Float[np.ndarray, "windows time 8"]
+    u: Float[np.ndarray, "windows time 9"]
     y: Float[np.ndarray, "channels windows*time"]
     valid: Bool[np.ndarray, "channels windows*time"]
     x0: Float[np.ndarray, "windows 3"]

@@ -26,7 +26,7 @@ from scipy.stats import rankdata
 from vehicle_sbi.data.noise import LARGEST_RHO
 from vehicle_sbi.mismatch.fit import Fit
 
-DRAWS = 1000  # of noise, behind a p-value
+DRAWS = 500  # of noise, behind a p-value
 CHUNK = 100  # of them at once
 ITERATIONS = 6  # of sizes and noise, in turn
 LEAST_VARIANCE = 1e-18
@@ -115,7 +115,7 @@ class Linearised:
 
     def products(self, x: Float[np.ndarray, "i channels time"], y: Float[np.ndarray, "j channels time"]) -> Products:
         """Sums over neighbouring samples of x y now, x y a sample earlier, and across (symmetric)."""
-        out = np.empty((3, x.shape[1], len(x), len(y)))
+        out = np.empty((3, x.shape[1], len(x), len(y)), np.result_type(x, y))
         for c, now in enumerate(self.pairs):
             a, b, before_a, before_b = x[:, c, now], y[:, c, now], x[:, c, now - 1], y[:, c, now - 1]
             out[:, c] = a @ b.T, before_a @ before_b.T, 0.5 * (a @ before_b.T + before_a @ b.T)
@@ -133,6 +133,22 @@ class Linearised:
         H = np.einsum("tc,tcij->ij", self._weight, self.products(self.J, self.J)) + np.eye(len(self.J))
         taken = np.linalg.solve(H, np.einsum("tc,tcij->ij", self._weight, self.products(self.J, series)))
         return series - np.tensordot(taken.T, self.J, axes=1)
+
+    def coherence(
+        self, a: Float[np.ndarray, "i channels time"], b: Float[np.ndarray, "j channels time"]
+    ) -> Float[np.ndarray, "i j"]:
+        """Cosines of the angles between what the fit leaves of series a and b."""
+        a, b = self.absorbed(np.nan_to_num(a)), self.absorbed(np.nan_to_num(b))
+        size = [
+            np.sqrt(np.maximum(np.einsum("tc,tck->k", self._weight, self.squares(series)), LEAST_VARIANCE))
+            for series in (a, b)
+        ]
+        return np.abs(np.einsum("tc,tcij->ij", self._weight, self.products(a, b))) / np.outer(*size)
+
+    def squares(self, series: Float[np.ndarray, "k channels time"]) -> Float[np.ndarray, "3 channels k"]:
+        """Products of each series with itself."""
+        each = [self.products(one[None], one[None])[..., 0, 0] for one in series]
+        return np.stack(each, axis=-1) if each else np.zeros((3, series.shape[1], 0))
 
     def drawn(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n channels time"]:
         """Noise and initial states under the fit, zero where nothing was measured."""
@@ -259,17 +275,22 @@ def _null(
     rng: np.random.Generator,
     draws: int,
 ) -> Float[np.ndarray, "draws k"]:
-    """Scores of drawn noise, after the fit has absorbed what it can and the noise has been estimated again."""
+    """Scores of drawn noise, after the fit has absorbed what it can and the noise has been estimated again.
+
+    In single precision, which is a thousand times finer than what the number of draws leaves uncertain.
+    """
     G = about.absorbed(np.nan_to_num(changes))
-    gg = np.stack([about.products(g[None], g[None])[..., 0, 0] for g in G], axis=-1)  # (3, channels, k)
+    scale = np.sqrt(np.maximum(np.mean(G**2, axis=(1, 2)), LEAST_VARIANCE))
+    G, low, high = (G / scale[:, None, None]).astype(np.float32), low * scale, high * scale
+    gg = about.squares(G)
     count = np.array([[float(max(len(pair), 1))] for pair in about.pairs])
     found = []
     for n in np.diff([*range(0, draws, CHUNK), draws]):
         e = about.absorbed(about.drawn(int(n), rng))
-        left = np.stack([about.products(one[None], one[None])[..., 0, 0] for one in e], axis=-1)
+        left = about.squares(e)
         rho, S = _ar1(left, count)
         weight = _kinds(rho) / S  # (3, channels, draws)
-        b = np.einsum("tcn,tcnk->nk", weight, about.products(e, G))
+        b = np.einsum("tcn,tcnk->nk", weight, about.products(e.astype(np.float32), G))
         std = np.sqrt(np.maximum(np.einsum("tcn,tck->nk", weight, gg), 1e-12))
         z = b / std
         size = np.clip(z, low * std, high * std)  # in standard deviations

@@ -1,9 +1,10 @@
 """What was left out: sets of effects, their evidence, none and unknown, and what this recording cannot tell apart.
 
 From the base model on, the most promising effects by their first-order scores are put into the model and all its
-parameters are fitted again, under noise of its own. A model that still leaves something over is extended further; what
-no set explains is *unknown*. Probabilities follow from Laplace's evidence of each set and a prior that is reluctant to
-add effects; that of *unknown* from how often noise alone would leave as much over as the best set does.
+parameters are fitted again, under noise of its own. A model that still leaves something over is extended further.
+Beside each stand laws that no effect of the catalogue has, fitted alike: those that do better make *unknown* probable,
+and so does what the best set leaves over, by how often noise alone would leave as much. Probabilities follow from
+Laplace's evidence and a prior that is reluctant to add effects.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,6 +17,7 @@ from jaxtyping import Float
 from vehicle_sbi.mismatch.candidates import Direction, null, shapes, slopes, within
 from vehicle_sbi.mismatch.detect import Linearised, Scores, profile, score
 from vehicle_sbi.mismatch.fit import Fit, descend, with_own_noise
+from vehicle_sbi.mismatch.laws import Law, law_slopes, laws, under
 from vehicle_sbi.mismatch.locate import Block, blocks
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -26,7 +28,9 @@ LEAST_SHARE, SLACK = 0.65, 8.0  # of the best one's first-order evidence that th
 BEAM = 2  # models that are extended further
 MOST_EFFECTS = 3
 RELUCTANCE = (0.5, 0.4, 0.09, 0.01)  # prior probability of none, one, two, three effects
-UNKNOWN = 0.2  # prior odds of something outside the catalogue, beside the best model
+UNKNOWN = 0.2  # prior odds of something outside the catalogue, beside a model
+ALIKE = 0.98  # coherence with a direction of the catalogue from which a law says nothing new
+LAWS_TRIED = 3  # that are fitted fully beside each model
 SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
 TEMPER = 0.6  # power of the evidence, set on 47 simulated diagnoses of their own
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
@@ -36,11 +40,16 @@ HOPELESS = 2.0  # first-order evidence below which no further effect outweighs t
 
 @dataclass(frozen=True)
 class Model:
-    """The base model with a set of effects, fitted; `explained` is the score of all of them together."""
+    """The base model with a set of effects, fitted; `explained` is the score of all of them together.
+
+    `law` is what it has beside them that the catalogue does not, `choice` the number of laws that it was chosen from.
+    """
 
     effects: tuple[str, ...]
     fit: Fit
     explained: float
+    law: Law | None = None
+    choice: int = 1
 
     @property
     def log_evidence(self) -> float:
@@ -59,17 +68,23 @@ class Joint:
 
 @dataclass(frozen=True)
 class Examined:
-    """A model with everything that it leaves out: directions and blocks, their scores, and effects that have several
-    directions with all of them.
+    """A model with everything that it leaves out: directions, blocks and laws, their scores, and effects that have
+    several directions with all of them.
 
-    Scores are in the order directions, then blocks.
+    Scores are in the order directions, then blocks, then laws.
     """
 
     model: Model
     directions: list[Direction]
     blocks: list[Block]
+    laws: list[Law]
     scores: Scores
     joint: dict[str, Joint]
+
+    @property
+    def of_blocks(self) -> slice:
+        """Where the scores of blocks are among all."""
+        return slice(len(self.directions), len(self.directions) + len(self.blocks))
 
     @property
     def _stretches(self) -> list[list[int]]:
@@ -99,7 +114,7 @@ class Examined:
     @property
     def largest_block(self) -> Block:
         """Where most is left over."""
-        return self.blocks[int(np.argmax(np.abs(self.scores.z[len(self.directions) :])))]
+        return self.blocks[int(np.argmax(np.abs(self.scores.z[self.of_blocks])))]
 
 
 @dataclass(frozen=True)
@@ -119,11 +134,23 @@ def examine(model: Model, known: Sequence[Direction], rng: np.random.Generator) 
     free = [d for d in known if d.parameter.name not in fitted and not fitted & {p.name for p in d.held}]
     found = [shape for direction in free for shape in shapes(simulator, direction)]
     places, bumps = blocks(simulator, model.fit.at.y)
-    changes = np.concatenate([slopes(simulator, theta, found), bumps])
-    far = np.full(len(places), np.inf)
-    low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
-    scores = score(model.fit, changes, np.concatenate([low, -far]), np.concatenate([high, far]), rng=rng)
-    return Examined(model, found, places, scores, _joint(model, found, changes, scores))
+    named = slopes(simulator, theta, found)
+    new, ruled = _new(model.fit, laws(simulator, theta, model.fit.at.y), named)
+    changes = np.concatenate([named, bumps, ruled])
+    far = [np.inf] * len(places)
+    low = np.array([d.low for d in found] + [-x for x in far] + [law.target.size.low for law in new])
+    high = np.array([d.high for d in found] + far + [law.target.size.high for law in new])
+    scores = score(model.fit, changes, low, high, rng=rng)
+    return Examined(model, found, places, new, scores, _joint(model, found, changes, scores))
+
+
+def _new(
+    fit: Fit, given: Sequence[Law], named: Float[np.ndarray, "k channels time"]
+) -> tuple[list[Law], Float[np.ndarray, "n channels time"]]:
+    """Laws that differ from every direction of the catalogue in what a fit leaves of them, and what they do."""
+    ruled = law_slopes(fit.simulator, fit.theta, fit.at.y, given)
+    kept = Linearised.of(fit).coherence(ruled, named).max(axis=1, initial=0.0) < ALIKE
+    return [law for law, new in zip(given, kept, strict=True) if new], ruled[kept]
 
 
 def _by_effect(found: Sequence[Direction]) -> dict[str, dict[str, list[int]]]:
@@ -197,11 +224,30 @@ def extended(model: Model, version: Version) -> Model | None:
     return Model(effects, fit, float(np.hypot(model.explained, version.score)))
 
 
+def ruled(examined: Examined) -> Iterator[Model]:
+    """The model with each of the few laws that promise most."""
+    model, n = examined.model, len(examined.directions) + len(examined.blocks)
+    evidence, size = examined.scores.log_evidence[n:], examined.scores.size[n:]
+    for k in np.argsort(-evidence)[:LAWS_TRIED]:
+        if evidence[k] < HOPELESS:
+            return
+        law = examined.laws[k]
+        start = np.append(model.fit.theta, np.clip(size[k], 0.98 * law.target.size.low, 0.98 * law.target.size.high))
+        found = descend(model.fit.observation.extended(under(model.fit.simulator, law)), start, STEPS)
+        if found is not None:
+            fit = with_own_noise(found, NOISE_ROUNDS, STEPS)
+            yield Model(model.effects, fit, model.explained, law, len(examined.laws))
+
+
 @dataclass(frozen=True)
 class Explanation:
-    """Sets of effects, the most probable first, beside the base model and the best one, which were examined."""
+    """Sets of effects, the most probable first, beside the base model and the best one, which were examined.
+
+    `unnamed` are models with a law that the catalogue does not have, the most probable first.
+    """
 
     models: list[Model]
+    unnamed: list[Model]
     base: Examined
     best: Examined
 
@@ -214,7 +260,8 @@ class Explanation:
         """
         named = [_weight(model) for model in self.models]
         odds = np.log(UNKNOWN * SURPRISE) + (SURPRISE - 1.0) * np.log(self.best.p_adequate)
-        unknown = TEMPER * _weight(self.best.model) + float(odds)
+        left_over = TEMPER * _weight(self.best.model) + float(odds)
+        unknown = np.logaddexp.reduce([left_over, *(TEMPER * _weight(model) for model in self.unnamed)])
         weights = np.array([*(TEMPER * w for w in named), TEMPER * _weight(self.base.model), unknown])
         return np.exp(weights - np.logaddexp.reduce(weights))
 
@@ -260,6 +307,7 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
     pool: dict[tuple[str, ...], Model] = {(): none}
     best = first
     frontier = [first] if first.p_value < LEVEL else []
+    unnamed = [model for examined in frontier for model in ruled(examined)]
     for _ in range(MOST_EFFECTS):
         grown: dict[tuple[str, ...], Model] = {}
         for model in (model for examined in frontier for model in _grow(examined)):
@@ -274,8 +322,10 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
         if best.p_value > LEVEL:
             break
         frontier = [best, *(examine(model, known, rng) for model in leading[1:])]
+        unnamed += [model for examined in frontier for model in ruled(examined)]
+    unnamed.sort(key=_weight, reverse=True)
     named = sorted((model for model in pool.values() if model.effects), key=_weight, reverse=True)
-    return Explanation(named, first, best)
+    return Explanation(named, unnamed, first, best)
 
 
 def _grow(examined: Examined) -> Iterator[Model]:
@@ -292,4 +342,5 @@ def _grow(examined: Examined) -> Iterator[Model]:
 def _weight(model: Model) -> float:
     """Log prior plus log evidence."""
     n = len(model.effects)
-    return float(np.log(RELUCTANCE[n]) - n * np.log(len(CATALOGUE)) + model.log_evidence)
+    unnamed = 0.0 if model.law is None else np.log(UNKNOWN / model.choice)
+    return float(np.log(RELUCTANCE[n]) - n * np.log(len(CATALOGUE)) + unnamed + model.log_evidence)

@@ -99,8 +99,8 @@ def estimates(fit: Fit) -> dict[str, Estimate]:
 
 def places(explanation: Explanation) -> list[Place]:
     """Blocks in which the base model leaves more than noise would, the largest first."""
-    scores, n = explanation.base.scores, len(explanation.base.directions)
-    z, p = scores.z[n:], scores.p_values[n:]
+    scores, of_blocks = explanation.base.scores, explanation.base.of_blocks
+    z, p = scores.z[of_blocks], scores.p_values[of_blocks]
     significant = np.flatnonzero(p < 0.05)
     whole = merged([explanation.base.blocks[k] for k in significant], z[significant])
     total = sum(energy for _, energy in whole)

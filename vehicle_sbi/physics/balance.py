@@ -42,9 +42,9 @@ class Front(NamedTuple):
 
 
 @compiled
-def outside(p, delta: float, v_x: float, r: float, t: float) -> Outside:
-    """What acts on the car at time t [s] and a steering command delta [rad]."""
-    push_x, push_y, moment_z = body_load(p, v_x, t)
+def outside(p, delta: float, v_x: float, r: float, t: float, course: float) -> Outside:
+    """What acts on the car at time t [s] and a steering command delta [rad]; `course` is that of a latent load."""
+    push_x, push_y, moment_z = body_load(p, v_x, t, course)
     press_f, press_r = downforce(p, v_x)
     mu, g_x = friction_step(p, p.grip, t), road_grade(p, t)
     return Outside(mu, push_x, push_y, moment_z, press_f, press_r, g_x, v_x * r, delta + roll_steer(p, v_x * r))

@@ -177,8 +177,9 @@ _DERIVED = (
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
 
-# A load on the body that no effect stands for: what is missing in a recording at one time, and how much of it.
-LATENT = ("latent_x", "latent_y", "latent_z", "latent_start", "latent_duration")  # [N, N, N m, s, s]
+# What no effect stands for, following the input `latent` over time: a load on the body [N, N, N m], an error of the road
+# wheels' angle [rad], and one of a sensor, that of a row of MEASUREMENTS [its unit].
+LATENT = ("latent_x", "latent_y", "latent_z", "latent_steering", "latent_sensor", "latent_row")
 
 _FIELDS = (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *LATENT, *_DERIVED)
 RECORD = np.dtype([(name, np.float64) for name in _FIELDS])
@@ -479,20 +480,29 @@ def yaw_moment(p) -> float:
 
 
 @compiled
-def latent(p, t: float) -> tuple[float, float, float]:
-    """A load of unknown origin, (F_x, F_y [N], M_z [N m]) from `start` on for `duration`."""
-    if p.latent_duration <= 0.0:
-        return 0.0, 0.0, 0.0
-    share = pulse(t, p.latent_start, p.latent_duration)
-    return p.latent_x * share, p.latent_y * share, p.latent_z * share
+def latent_load(p, course: float) -> tuple[float, float, float]:
+    """A load of unknown origin, (F_x, F_y [N], M_z [N m]), that takes a `course` over time."""
+    return p.latent_x * course, p.latent_y * course, p.latent_z * course
 
 
 @compiled
-def body_load(p, v_x: float, t: float) -> tuple[float, float, float]:
+def latent_steering(p, course: float) -> float:
+    """An error of unknown origin in the road wheels' angle [rad]."""
+    return p.latent_steering * course
+
+
+@compiled
+def latent_sensor(p, row: int, course: float) -> float:
+    """An error of unknown origin in one of MEASUREMENTS, in its unit."""
+    return p.latent_sensor * course if row == int(p.latent_row) else 0.0
+
+
+@compiled
+def body_load(p, v_x: float, t: float, course: float) -> tuple[float, float, float]:
     """Sum of the optional forces (x, y) [N] and moments about z [N m] on the body at time t [s]."""
     wind, wind_moment = crosswind(p)
     blow, blow_moment = gust(p, t)
-    rest_x, rest_y, rest_z = latent(p, t)
+    rest_x, rest_y, rest_z = latent_load(p, course)
     along = aero_drag(p, v_x) + rolling_resistance(p, v_x) - p.mass * road_grade(p, t) + rest_x
     across = wind + blow - p.mass * road_bank(p) + rest_y
     return along, across, wind_moment + blow_moment + yaw_moment(p) + rest_z

@@ -28,6 +28,7 @@ from vehicle_sbi.physics.single_track import (
     T_F,
     T_R,
     TIME,
+    U_LATENT,
     TORQUE,
     U_OMEGA_F,
     U_OMEGA_R,
@@ -268,7 +269,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     car = Car(
         drive=drive,
         relaxed=p.sigma_f > 0.0,
-        outside=outside(p, u[DELTA], v_x, r, u[TIME]),
+        outside=outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT]),
         g_y=road_bank(p),
         roll=roll,
         pitch=pitch,

@@ -13,9 +13,9 @@ from numba import njit, prange
 
 from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import derive, steer, torques
+from vehicle_sbi.physics.effects import derive, latent_sensor, latent_steering, steer, torques
 from vehicle_sbi.physics.sensors import MEASUREMENTS, MOTION, measure, report
-from vehicle_sbi.physics.single_track import DELTA, T_F, T_R, TIME, regular
+from vehicle_sbi.physics.single_track import DELTA, T_F, T_R, TIME, U_LATENT, regular
 from vehicle_sbi.physics.vehicle import GRAVITY
 
 MODELS: Mapping[str, ModuleType] = {"single_track": single_track, "full_vehicle": full_vehicle}
@@ -26,7 +26,7 @@ FINISHED, SPUN_OUT, NOT_FINITE = 0, 1, 2
 
 @compiled
 def blend(u, k: int, share: float, out) -> None:
-    """The inputs at `share` of the way from sample k to the next, linear between samples; u (time, 8)."""
+    """The inputs at `share` of the way from sample k to the next, linear between samples; u (time, 9)."""
     following = min(k + 1, u.shape[0] - 1)
     for i in range(u.shape[1]):
         out[i] = u[k, i] + share * (u[following, i] - u[k, i])
@@ -103,7 +103,7 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
 def actuate(p, u, input_noise, rate: float, out) -> None:
     """What reaches the wheels: steering and torques through their effects, both with their relative noise.
 
-    u, out (time, 8); input_noise (draws, 2) for steering and torques, one draw for the window or one per sample.
+    u, out (time, 9); input_noise (draws, 2) for steering and torques, one draw for the window or one per sample.
     """
     for k in range(u.shape[0]):
         for i in range(u.shape[1]):
@@ -112,7 +112,7 @@ def actuate(p, u, input_noise, rate: float, out) -> None:
     for k in range(u.shape[0]):
         i = min(k, len(input_noise) - 1)
         T_f, T_r = torques(p, u[:, T_F], u[:, T_R], k, rate)
-        out[k, DELTA] *= 1.0 + input_noise[i, 0]
+        out[k, DELTA] = (1.0 + input_noise[i, 0]) * (out[k, DELTA] + latent_steering(p, u[k, U_LATENT]))
         out[k, T_F] = (1.0 + input_noise[i, 1]) * T_f
         out[k, T_R] = (1.0 + input_noise[i, 1]) * T_r
 
@@ -131,7 +131,7 @@ def simulate(
 ):
     """One simulation over all windows: fill y (channels, windows * time), NaN if it fails; returns its outcome.
 
-    u (windows, time, 8), initial (windows, 3), channels and groups index MEASUREMENTS and GROUPS.
+    u (windows, time, 9), initial (windows, 3), channels and groups index MEASUREMENTS and GROUPS.
     """
     windows, time = u.shape[0], u.shape[1]
     motion, reading = np.empty((time, len(MOTION))), np.empty((len(MEASUREMENTS), time))
@@ -145,14 +145,17 @@ def simulate(
             return outcome
         measure(p, motion, acting[:, TIME], rate, reading)
         for i in range(len(channels)):
-            report(p, reading[channels[i]], groups[i], rate, y[i, w * time : (w + 1) * time])
+            reported = y[i, w * time : (w + 1) * time]
+            report(p, reading[channels[i]], groups[i], rate, reported)
+            for k in range(time):
+                reported[k] += latent_sensor(p, channels[i], u[w, k, U_LATENT])
     return FINISHED
 
 
 @cache
 def batch_simulator(model: str) -> Callable[..., None]:
     """Simulations of one of MODELS in parallel, compiled when first called: a function of records (n,), the drive mode,
-    u (windows, time, 8), stiffness_noise (n, draws, 4), input_noise (n, draws, 2), rate [Hz], substeps,
+    u (windows, time, 9), stiffness_noise (n, draws, 4), input_noise (n, draws, 2), rate [Hz], substeps,
     initial (n, windows, 3), channels, groups, that fills y (n, channels, windows * time) and outcomes (n,)."""
     equations = MODELS[model]
 

@@ -24,8 +24,9 @@ DRIVES = {"torque": TORQUE, "wheel_speed": WHEEL_SPEED, "speed": SPEED}
 
 INPUTS = (
     "steering", "torque_front", "torque_rear", "v_x", "v_x_dot", "wheel_speed_front", "wheel_speed_rear", "time",
+    "latent",
 )  # fmt: skip
-DELTA, T_F, T_R, U_V_X, U_V_X_DOT, U_OMEGA_F, U_OMEGA_R, TIME = range(len(INPUTS))
+DELTA, T_F, T_R, U_V_X, U_V_X_DOT, U_OMEGA_F, U_OMEGA_R, TIME, U_LATENT = range(len(INPUTS))
 
 STATES = 9
 V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_F, ALPHA_R = range(STATES)
@@ -141,7 +142,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     car = Car(
         drive=drive,
         relaxed=relaxed,
-        outside=outside(p, u[DELTA], v_x, r, u[TIME]),
+        outside=outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT]),
         v_x=v_x,
         v_yf=v_yf,
         beta_f=math.atan(v_yf / speed),
