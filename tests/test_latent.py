@@ -21,8 +21,8 @@ def test_the_bumps_of_all_stretches_add_up_to_one() -> None:
 
 
 def test_a_push_on_the_body_is_found_where_and_as_large_as_it_was() -> None:
-    # 1500 N to the left for the length of a stretch come out as that, to four of the standard errors that the information
-    # about all stretches together has.
+    # 1500 N to the left for the length of a stretch come out as that, to four of the standard errors that follow
+    # from the information about all stretches together.
     sim = lateral()
     course = bump(clock(sim), *stretches(sim)[6])
     push = next(target for target in targets(sim, np.zeros(sim.shape)) if target.name == "force along y")

@@ -251,24 +251,27 @@ class Explanation:
     base: Examined
     best: Examined
 
-    @property
+    @cached_property
     def _shares(self) -> Float[np.ndarray, " k"]:
-        """Probabilities of all sets, of none and of unknown, in this order.
+        """Probabilities of all sets, of all with a law, of none and of what is left over, in this order.
 
         Evidence is tempered: it takes the noise for exactly what it was modelled as and the search for complete, and
         so comes out too sure. What is unknown is as probable as what the best model leaves over is surprising.
         """
-        named = [_weight(model) for model in self.models]
-        odds = np.log(UNKNOWN * SURPRISE) + (SURPRISE - 1.0) * np.log(self.best.p_adequate)
-        left_over = TEMPER * _weight(self.best.model) + float(odds)
-        unknown = np.logaddexp.reduce([left_over, *(TEMPER * _weight(model) for model in self.unnamed)])
-        weights = np.array([*(TEMPER * w for w in named), TEMPER * _weight(self.base.model), unknown])
+        fitted = [_weight(model) for model in (*self.models, *self.unnamed, self.base.model, self.best.model)]
+        weights = TEMPER * np.array(fitted)
+        weights[-1] += np.log(UNKNOWN * SURPRISE) + (SURPRISE - 1.0) * np.log(self.best.p_adequate)
         return np.exp(weights - np.logaddexp.reduce(weights))
 
     @property
     def probability(self) -> list[float]:
         """Of each set of effects."""
-        return self._shares[:-2].tolist()
+        return self._shares[: len(self.models)].tolist()
+
+    @property
+    def laws(self) -> list[tuple[Model, float]]:
+        """Models with a law that the catalogue does not have, and their probabilities."""
+        return list(zip(self.unnamed, self._shares[len(self.models) : -2].tolist(), strict=True))
 
     @property
     def p_none(self) -> float:
@@ -278,7 +281,7 @@ class Explanation:
     @property
     def p_unknown(self) -> float:
         """That something is missing which no set of known effects explains."""
-        return float(self._shares[-1])
+        return float(self._shares[len(self.models) : -2].sum() + self._shares[-1])
 
     @property
     def p_value(self) -> float:

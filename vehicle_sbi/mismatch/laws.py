@@ -97,17 +97,11 @@ def targets(simulator: Simulator, y: Float[np.ndarray, "channels time"]) -> list
 def laws(simulator: Simulator, theta: Float[np.ndarray, " d"], y: Float[np.ndarray, "channels time"]) -> list[Law]:
     """Every target with every signal at theta, where the series are y."""
     acting = targets(simulator, y)
-    return [
-        Law(target, signal, course)
-        for signal, course in signals(simulator, theta).items()
-        for target in acting
-    ]
+    return [Law(target, signal, course) for signal, course in signals(simulator, theta).items() for target in acting]
 
 
 def _size(name: str, unit: str, largest: float) -> Parameter:
-    return Parameter(
-        name=f"latent.{name}", unit=unit, low=-largest, high=largest, fields=(f"latent_{name}",), null=0.0
-    )
+    return Parameter(name=f"latent.{name}", unit=unit, low=-largest, high=largest, fields=(f"latent_{name}",), null=0.0)
 
 
 def under(simulator: Simulator, law: Law) -> Simulator:
@@ -132,7 +126,9 @@ def law_slopes(
             changes[k, simulator.windows.channels.index(MEASUREMENTS[law.target.row])] = law.course.reshape(-1)
     for rows in together.values():
         sizes = [given[k].target.size for k in rows]
-        simulated = replace(under(simulator, given[rows[0]]), space=ParameterSpace((*simulator.space.parameters, *sizes)))
+        simulated = replace(
+            under(simulator, given[rows[0]]), space=ParameterSpace((*simulator.space.parameters, *sizes))
+        )
         steps = STEP * np.array([p.high for p in sizes])
         moved = simulated.noise_free(np.column_stack([np.tile(theta, (len(rows), 1)), np.diag(steps)]))
         changes[rows] = (moved - y) / steps[:, None, None]

@@ -55,6 +55,39 @@ class Named:
 
 
 @dataclass(frozen=True)
+class Followed:
+    """A law outside the catalogue: a target that follows a signal of the drive, its size where the signal has its root
+    mean square, the effects that it stands beside, and how probable it is."""
+
+    target: str
+    signal: str
+    size: Estimate
+    effects: tuple[str, ...]
+    probability: float
+
+    @property
+    def sentence(self) -> str:
+        """The law, in words."""
+        beside = f" beside {_listed(self.effects)}" if self.effects else ""
+        size = quantity(f"The likeliest law outside the catalogue{beside} is one of {self.target}", self.size)
+        return f"{size} where {self.signal}, which it follows, has its root mean square.".replace(" = ", ", ")
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """What is missing where no known effect is it: laws, the likeliest first, and what load or error over time."""
+
+    laws: list[Followed]
+    over_time: Latent | None
+
+    @property
+    def sentence(self) -> str:
+        """Both, in words."""
+        found: list[Followed | Latent] = [*self.laws[:1], *([self.over_time] if self.over_time else [])]
+        return " ".join(one.sentence for one in found)
+
+
+@dataclass(frozen=True)
 class Score:
     """A model's prediction of what was held out."""
 
@@ -74,7 +107,7 @@ class Verdict:
     explanations: list[Named]
     p_none: float
     p_unknown: float
-    unknown: Latent | None
+    unknown: Unknown | None
     indistinguishable: list[list[str]]
     separating_experiment: str
     fit: dict[str, object]
@@ -127,7 +160,7 @@ def verdict(
     model = chosen(explanation)
     before, after = estimates(explanation.base.model.fit), estimates(model.fit)
     together = explanation.indistinguishable() if explanation.detected else []
-    it_takes = what_it_takes(explanation.best.model.fit) if explanation.p_unknown > SPOKEN_OF else None
+    unknown = _unknown(explanation) if explanation.p_unknown > SPOKEN_OF else None
     fit: dict[str, object] = {"heldout": list(case.held_out_names)}
     fit |= {name: asdict(Score(p.nrmse, p.mean_log_score, p.coverage90)) for name, p in predictions.items()}
     if gained is not None:
@@ -142,7 +175,7 @@ def verdict(
         explanations=found,
         p_none=explanation.p_none,
         p_unknown=explanation.p_unknown + rest,
-        unknown=it_takes,
+        unknown=unknown,
         indistinguishable=exchangeable(together),
         separating_experiment=_advice(explanation, together),
         fit=fit,
@@ -151,8 +184,18 @@ def verdict(
             for name in before
         },
         notes=[*_rim(explanation.base.model.fit), *case.notes],
-        sentence=sentence(explanation, gained, together, seen, it_takes),
+        sentence=sentence(explanation, gained, together, seen, unknown),
     )
+
+
+def _unknown(explanation: Explanation) -> Unknown:
+    """Laws outside the catalogue that are at all likely, and what it takes beyond the best set of known effects."""
+    laws = []
+    for model, probability in explanation.laws[:LISTED]:
+        assert model.law is not None
+        size = estimates(model.fit)[model.law.target.size.name]
+        laws.append(Followed(model.law.target.name, model.law.signal, size, model.effects, probability))
+    return Unknown(laws, what_it_takes(explanation.best.model.fit))
 
 
 def exchangeable(together: Sequence[Sequence[str]]) -> list[list[str]]:
@@ -199,7 +242,7 @@ def sentence(
     gained: Gain | None,
     together: Sequence[Sequence[str]],
     seen: Card,
-    it_takes: Latent | None,
+    unknown: Unknown | None,
 ) -> str:
     """The diagnosis in a few sentences, for people."""
     if not explanation.detected:
@@ -208,8 +251,8 @@ def sentence(
             f"what is left over looks like noise. {_limits(seen)}"
         )
     said = [_difference(explanation), *_answer(explanation)]
-    if it_takes is not None:
-        said.append(it_takes.sentence)
+    if unknown is not None and unknown.sentence:
+        said.append(unknown.sentence)
     others = [effects for effects in together if effects != explanation.models[0].effects]
     if others:
         said.append(f"These recordings cannot tell it from {', or '.join(_listed(o) for o in others)}.")

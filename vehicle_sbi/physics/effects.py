@@ -177,8 +177,8 @@ _DERIVED = (
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
 
-# What no effect stands for, following the input `latent` over time: a load on the body [N, N, N m], an error of the road
-# wheels' angle [rad], and one of a sensor, that of a row of MEASUREMENTS [its unit].
+# What no effect stands for, following the input `latent` over time: a load on the body [N, N, N m], an error of the
+# road wheels' angle [rad], and one of a sensor, that of a row of MEASUREMENTS [its unit].
 LATENT = ("latent_x", "latent_y", "latent_z", "latent_steering", "latent_sensor", "latent_row")
 
 _FIELDS = (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *LATENT, *_DERIVED)
