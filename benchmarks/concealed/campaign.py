@@ -7,10 +7,10 @@ and words of a command line, nothing else.
 import json
 import os
 import platform
-import subprocess
+import runpy
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from datetime import date
 from multiprocessing import get_context
@@ -27,6 +27,7 @@ from vehicle_sbi.files import write_text
 from vehicle_sbi.physics.effects import CATALOGUE
 
 ROOT = Path(__file__).resolve().parents[2]
+PRELOADED = ["hydra", "vehicle_sbi.report.diagnosis"]  # by the process from which those of diagnoses are forked
 ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -36,17 +37,27 @@ def diagnose(case: Path, script: Path, timeout_s: float) -> None:
     if verdict.exists() or not script.exists():
         return
     words = yaml.safe_load((case / "case.yaml").read_text())["overrides"]
-    command = [sys.executable, str(script), *words, "figures=false", f"hydra.run.dir={case / 'diagnosis'}"]
+    arguments = [*words, "figures=false", f"hydra.run.dir={case / 'diagnosis'}"]
+    server = get_context("forkserver")
+    server.set_forkserver_preload(PRELOADED)
+    process = server.Process(target=run_script, args=(script, arguments, case / "diagnose.log"))
     begun = time.monotonic()
-    try:
-        done = subprocess.run(
-            command, cwd=ROOT, env=os.environ | ONE_THREAD, capture_output=True, text=True, timeout=timeout_s
-        )
-        status, output = done.returncode, done.stdout + done.stderr
-    except subprocess.TimeoutExpired:
-        status, output = -1, f"stopped after {timeout_s:g} s"
-    write_text(case / "diagnose.log", output)
-    write_text(case / "run.json", json.dumps({"seconds": time.monotonic() - begun, "status": status}))
+    process.start()
+    process.join(timeout_s)
+    if process.is_alive():
+        process.kill()
+        process.join()
+    write_text(case / "run.json", json.dumps({"seconds": time.monotonic() - begun, "status": process.exitcode}))
+
+
+def run_script(script: Path, arguments: Sequence[str], log: Path) -> None:
+    """A script as its command line runs it, what it prints into a log; called in a process that has imported it all."""
+    with log.open("w") as file:
+        for stream in (1, 2):
+            os.dup2(file.fileno(), stream)
+    os.chdir(ROOT)
+    sys.argv, sys.path[0] = [str(script), *arguments], str(script.parent)
+    runpy.run_path(str(script), run_name="__main__")
 
 
 def work(folder: Path, seed: int, index: int, stages: Mapping[str, bool], script: Path, timeout_s: float) -> str:
@@ -73,7 +84,7 @@ def gather(folder: Path, n: int) -> pd.DataFrame:
 
 def machine(workers: int) -> str:
     where = f"{date.today()}, {platform.platform()}, {os.cpu_count()} cores"
-    return f"{where}, {workers} diagnoses at a time, one thread each."
+    return f"{where}, {workers} diagnoses at a time, one thread each; the start of Python not counted."
 
 
 def prove(
