@@ -42,6 +42,7 @@ NOTHING = {"L0": 1.5, "L1": 2.0}  # what the truth without effects may differ fr
 MOST_TRIALS = 14  # of a strength
 ATTEMPTS, MOST_ATTEMPTS = 8, 40  # that may fall short, and of any kind
 MULTIBODY = 0.2  # share of attempts at level L1 with the multi-body car, where it has the effects
+FAR = 0.25  # prior standard deviations that a fit moves, from which it is done rather than extrapolated
 CLOSE = 0.03  # of the signal-to-noise ratio, where the search for an amplitude stops
 ONCE = ("start", "duration", "angle_0")  # an effect with one of these parameters happens in one recording only
 
@@ -365,8 +366,40 @@ class Concealment:
         return changed if np.isfinite(changed).all() else None
 
     def reach(self, one: Draft, strength: float) -> float | None:
+        """The ratio of one effect at a strength, at first order about the base model's fit without it."""
         changed = self.change({one.name: one.at(strength)})
         return None if changed is None else snr(self.projection.left(changed[None]))
+
+    def reach_fitted(self, one: Draft, strength: float) -> float | None:
+        """The same once the base model is fitted to what the effect does, however far its parameters move."""
+        series = self.series({one.name: one.at(strength)})
+        if series is None:
+            return None
+        simulator = self.simulator(series)
+        if simulator.windows.y.shape != self.quiet.windows.y.shape:
+            return None
+        fitted, left = self.fitted(simulator)
+        return snr(fitted.left(left[None]))
+
+    def fitted(self, simulator: Simulator) -> tuple[Projection, np.ndarray]:
+        """About the base model's fit to what a simulator has recorded, and what it leaves beyond what nothing does."""
+        changed = residual(simulator, self.theta, simulator.windows.y) - self.rest
+        if not self.moves(changed):
+            return Projection(simulator, self.theta), changed
+        theta = fit(simulator, simulator.windows.y, self.theta)
+        return Projection(simulator, theta), residual(simulator, theta, simulator.windows.y) - self.rest
+
+    def moves(self, changed: np.ndarray) -> bool:
+        """Whether fitting a change moves a parameter so far that it is no matter of first order."""
+        return bool(np.abs(self.projection.shift(changed)).max(initial=0.0) > FAR)
+
+    def strength(self, one: Draft, target: float) -> tuple[float, float]:
+        """(strength, ratio) close to a target: at first order, or fitted at each strength where parameters move far."""
+        strength, reached = settle(partial(self.reach, one), target)
+        changed = self.change({one.name: one.at(strength)})
+        if changed is None or not self.moves(changed):
+            return strength, reached
+        return settle(partial(self.reach_fitted, one), target)
 
     def finish(self, drafts: Sequence[Draft], strengths: Sequence[float]) -> Built | None:
         """All effects together: sealed ratios are taken about the recordings that the tool gets."""
@@ -375,11 +408,11 @@ class Concealment:
         if series is None:
             return None
         simulator = self.simulator(series)
-        projection = Projection(simulator, self.theta)
         changes = [self.change({name: values}) for name, values in effects.items()]
         if any(c is None for c in changes):
             return None
-        left = projection.left(np.array([*changes, residual(simulator, self.theta, simulator.windows.y) - self.rest]))
+        projection, together = self.fitted(simulator)
+        left = projection.left(np.array([*changes, together]))
         alone = [snr(row) for row in left[:-1]]
         beyond = [
             snr(remove(left[i : i + 1], np.delete(left[:-1], i, axis=0), entirely=True)) for i in range(len(drafts))
@@ -455,7 +488,7 @@ def _conceal(seed: int, wanted: Slot, k: int, target: float, *, anyway: bool = F
         one = draft(rng, name, hidden.quiet, hidden.theta, seconds) if inside else draft_outside(rng, name, seconds)
         if one is None:
             return None, 0.0
-        strength, reached = settle(partial(hidden.reach, one), target)
+        strength, reached = hidden.strength(one, target)
         worth = min(worth, reached / target / (1.0 - CLOSE))
         if worth < 1.0 and not anyway:
             return None, worth

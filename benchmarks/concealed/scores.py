@@ -2,7 +2,8 @@
 
 An answer is a set of effects, `none` or `unknown`; the right one is the set that was concealed, `none` where nothing is
 missing, `unknown` where what is missing lies outside the catalogue. On real recordings (L2) the right answer contains
-the injected effect, for what else the car has that the model lacks is not known; nor are their controls false alarms.
+the injected effect, alone or beside others or something unknown, for what else the car has that the model lacks is not
+known; nor are their controls false alarms.
 Intervals: Clopper and Pearson (1934) for shares of yes and no, percentile bootstrap for everything else.
 """
 
@@ -40,6 +41,11 @@ def answers(verdict: Json) -> list[tuple[Answer, float]]:
     return sorted([*named, *rest], key=lambda one: -one[1])
 
 
+def _beside(verdict: Json) -> Answer:
+    """Known effects that stand beside something unknown."""
+    return frozenset((verdict["unknown"] or {}).get("effects", ()))
+
+
 def right(truth: Json) -> Answer:
     if truth["kind"] == "none":
         return NONE
@@ -61,6 +67,8 @@ def _half(answer: Answer, truth: Json, verdict: Json) -> bool:
 def score(truth: Json, verdict: Json, floor: Mapping[str, float] | None = None) -> dict[str, Any]:
     """What one verdict is worth; None where a question does not arise. `floor`: NRMSE of the noise, by channel."""
     ranked = answers(verdict)
+    if truth["level"] == "L2":
+        ranked = [(answer | _beside(verdict) if answer == UNKNOWN else answer, p) for answer, p in ranked]
     top, kind = ranked[0], truth["kind"]
     correct = [agrees(answer, truth) for answer, _ in ranked]
     likely = int(np.searchsorted(np.cumsum([p for _, p in ranked]), INTERVAL - 1e-9)) + 1

@@ -23,7 +23,7 @@ from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 
 WINDOW_S, WARMUP_S = 10.0, 0.5  # [s], which the tool is told too
-FIT_STEPS, FIT_GAIN = 12, 1e-3  # at most, and the gain of chi-square below which a fit ends
+FIT_STEPS, FIT_GAIN = 12, 0.02  # at most, and the gain of chi-square below which a fit ends
 NONE = Mixture(np.zeros(0), np.zeros(0))
 
 
@@ -172,6 +172,11 @@ class Projection:
     def left(self, changes: np.ndarray) -> np.ndarray:
         """What fitting leaves of changes (k, channels, time): (k, n)."""
         return remove(self.without_states(changes), self._theta)
+
+    def shift(self, changed: np.ndarray) -> np.ndarray:
+        """What a change (channels, time) moves theta by at first order, in standard deviations of its prior."""
+        white, J = self.without_states(changed[None])[0], self._theta
+        return np.linalg.solve(J @ J.T + np.eye(len(J)), J @ white)
 
     def step(self, residual: np.ndarray) -> np.ndarray:
         """The step of theta that a residual (channels, time) asks for, initial states allowed for, no prior."""

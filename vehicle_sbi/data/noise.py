@@ -207,12 +207,21 @@ def _bridged(y: Float[np.ndarray, "channels time"]) -> Float[np.ndarray, "channe
     return np.stack([np.interp(t, t[known], row[known]) if known.any() else 0.0 * t for row, known in rows])
 
 
-def from_residual(residual: Float[np.ndarray, "channels time"], windows: Windows) -> MeasurementNoise:
-    """Noise of a recording from a residual: root mean square and lag-one correlation of each channel about zero.
+def largest_rho(rate: float, memory_s: float) -> float:
+    """Lag-one correlation of noise with a correlation time of memory_s [s], sampled at a rate [Hz]."""
+    return min(LARGEST_RHO, float(np.exp(-1.0 / (rate * memory_s))))
 
+
+def from_residual(
+    residual: Float[np.ndarray, "channels time"], windows: Windows, memory_s: float = np.inf
+) -> MeasurementNoise:
+    """Noise of a recording from a residual: lag-one correlation and standard deviation of each channel about zero.
+
+    The correlation time is memory_s [s] at most; what is slower is no noise, and counts only by its innovations.
     Raises InputError for a channel with fewer than ten valid samples.
     """
     time, floor, rho = windows.t.shape[1], [], []
+    largest = largest_rho(windows.rate, memory_s)
     for channel, name in enumerate(windows.channels):
         valid = windows.valid[channel]
         if valid.sum() < 10:
@@ -220,6 +229,8 @@ def from_residual(residual: Float[np.ndarray, "channels time"], windows: Windows
         square = float(np.mean(residual[channel, valid] ** 2))
         pairs = np.flatnonzero(valid[:-1] & valid[1:] & (np.arange(1, len(valid)) % time > 0))
         product = float(np.mean(residual[channel, pairs] * residual[channel, pairs + 1]))
-        floor.append(max(np.sqrt(square), TINY))
-        rho.append(float(np.clip(product / max(square, TINY**2), 0.0, LARGEST_RHO)))
+        found = float(np.clip(product / max(square, TINY**2), 0.0, 1.0))
+        rho.append(min(found, largest))
+        left = square * (1.0 - 2.0 * rho[-1] * found + rho[-1] ** 2) / (1.0 - rho[-1] ** 2)
+        floor.append(max(np.sqrt(left), TINY))
     return MeasurementNoise(np.zeros(len(floor)), np.array(floor), np.array(rho), time)

@@ -23,8 +23,8 @@ from jaxtyping import Float
 from scipy.special import log_ndtr
 from scipy.stats import rankdata
 
-from vehicle_sbi.data.noise import LARGEST_RHO
-from vehicle_sbi.mismatch.fit import Fit
+from vehicle_sbi.data.noise import largest_rho
+from vehicle_sbi.mismatch.fit import MEMORY_S, Fit
 
 DRAWS = 500  # of noise, behind a p-value
 CHUNK = 100  # of them at once
@@ -32,6 +32,14 @@ ITERATIONS = 6  # of sizes and noise, in turn
 LEAST_VARIANCE = 1e-18
 
 Products = Float[np.ndarray, "3 channels i j"]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Directions that are also tested together: their rows, and the log likelihood that all of them gain."""
+
+    rows: list[int]
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -58,18 +66,19 @@ class Scores:
         highest = np.abs(self.null).max(axis=1, initial=0.0)
         return (1.0 + (highest[:, None] >= np.abs(self.z)).sum(axis=0)) / (len(highest) + 1.0)
 
-    def p_value(self, groups: Sequence[Sequence[int]] = (), *, tolerated: float = 0.0) -> float:
-        """How often noise alone is as extreme: by its largest score, or by the sum of squares of a group of scores.
+    def p_value(self, groups: Sequence[Group] = (), *, tolerated: float = 0.0) -> float:
+        """How often noise alone is as extreme: by its largest score, or by what a group of directions gains together.
 
         A mismatch that comes and goes has many small scores in a row, not one large one. `tolerated` is a score that is
         left over by a model that counts as right, in whose units larger ones are then taken.
         """
-        z, shrink = np.concatenate([self.z[None], self.null]), 1.0 / np.sqrt(1.0 + tolerated**2)
-        z[0] *= shrink
-        statistics = [np.abs(z).max(axis=1, initial=0.0)]
-        for rows in groups:
-            precision = np.linalg.pinv(np.cov(self.null[:, rows], rowvar=False), rcond=1e-6, hermitian=True)
-            statistics.append(np.einsum("ni,ij,nj->n", z[:, rows], precision, z[:, rows]))
+        shrink = 1.0 / (1.0 + tolerated**2)
+        highest = np.abs(self.null).max(axis=1, initial=0.0)
+        statistics = [np.append(np.sqrt(shrink) * np.abs(self.z).max(initial=0.0), highest)]
+        for group in groups:
+            z = self.null[:, group.rows]
+            precision = np.linalg.pinv(np.cov(z, rowvar=False), rcond=1e-6, hermitian=True)
+            statistics.append(np.append(2.0 * shrink * group.gain, np.einsum("ni,ij,nj->n", z, precision, z)))
         ranks = [rankdata(-one, method="max") for one in statistics]
         least = np.min(ranks, axis=0)
         return float((least <= least[0]).sum() / len(least))
@@ -112,6 +121,11 @@ class Linearised:
         pairs = [1 + np.flatnonzero(valid[1:] & valid[:-1] & same) for valid in windows.valid]
         J = np.concatenate([fit.at.J[fit.inside], states])
         return cls(fit, np.nan_to_num(J), len(states), fit.residual[None], pairs)
+
+    @property
+    def largest_rho(self) -> float:
+        """Correlation of the slowest noise."""
+        return largest_rho(self.fit.simulator.windows.rate, MEMORY_S)
 
     def products(self, x: Float[np.ndarray, "i channels time"], y: Float[np.ndarray, "j channels time"]) -> Products:
         """Sums over neighbouring samples of x y now, x y a sample earlier, and across (symmetric)."""
@@ -175,6 +189,7 @@ class Quadratic:
     b: Float[np.ndarray, "3 channels k n"]
     rr: Float[np.ndarray, "3 channels"]
     count: Float[np.ndarray, " channels"]
+    largest_rho: float
 
     @classmethod
     def of(cls, about: Linearised, changes: Float[np.ndarray, "k q channels time"]) -> "Quadratic":
@@ -191,7 +206,8 @@ class Quadratic:
         b[..., :m] = about.products(about.J, about.residual)[:, :, None, :, 0]
         b[..., m:] = about.products(flat, about.residual).reshape(3, channels, k, q)
         rr = about.products(about.residual, about.residual)[..., 0, 0]
-        return cls(H, b, rr, np.array([float(max(len(pair), 1)) for pair in about.pairs]))
+        count = np.array([float(max(len(pair), 1)) for pair in about.pairs])
+        return cls(H, b, rr, count, about.largest_rho)
 
     def noise(
         self, x: Float[np.ndarray, "k n"]
@@ -199,7 +215,7 @@ class Quadratic:
         """Correlation and innovation variance of what is left over at x."""
         left = self.rr[..., None] - 2.0 * np.einsum("tcki,ki->tck", self.b, x)
         left = left + np.einsum("tckij,ki,kj->tck", self.H, x, x, optimize=True)
-        return _ar1(left, self.count[:, None])
+        return _ar1(left, self.count[:, None], self.largest_rho)
 
     def weighted(
         self, x: Float[np.ndarray, "k n"], prior: Float[np.ndarray, "n n"]
@@ -227,16 +243,23 @@ def profile(
     return Profiled(x[:, m:], log_likelihood, information)
 
 
+def gained(about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> float:
+    """Log likelihood that directions of any size gain together, each under the noise that is then left over."""
+    free = np.full((1, len(changes)), np.inf)
+    none = profile(about, changes[None, :0], free[:, :0], free[:, :0]).log_likelihood[0]
+    return max(float(profile(about, changes[None], -free, free).log_likelihood[0] - none), 0.0)
+
+
 def _kinds(rho: np.ndarray) -> np.ndarray:
     """Weights of the three kinds of products in those of innovations, (3, …) for rho (…)."""
     return np.stack([np.ones_like(rho), rho**2, -2.0 * rho])
 
 
 def _ar1(
-    left: Float[np.ndarray, "3 channels k"], count: Float[np.ndarray, "channels 1"]
+    left: Float[np.ndarray, "3 channels k"], count: Float[np.ndarray, "channels 1"], largest: float
 ) -> tuple[Float[np.ndarray, "channels k"], Float[np.ndarray, "channels k"]]:
     """Correlation and innovation variance from the three kinds of products of a residual."""
-    rho = np.clip(left[2] / np.maximum(left[1], LEAST_VARIANCE), 0.0, LARGEST_RHO)
+    rho = np.clip(left[2] / np.maximum(left[1], LEAST_VARIANCE), 0.0, largest)
     return rho, np.maximum(np.sum(_kinds(rho) * left, axis=0) / count, LEAST_VARIANCE)
 
 
@@ -260,7 +283,7 @@ def score(
 ) -> Scores:
     """Scores of `changes` (per unit of a size that the prior bounds between low and high) at a fit."""
     about = Linearised.of(fit)
-    none = profile(about, changes[:1, None][:, :0], np.zeros((1, 0)), np.zeros((1, 0)))
+    none = profile(about, changes[None, :0], np.zeros((1, 0)), np.zeros((1, 0)))
     each = profile(about, changes[:, None], low[:, None], high[:, None])
     gain = np.maximum(each.log_likelihood - none.log_likelihood, 0.0)
     information = np.maximum(each.information[:, 0, 0], 1e-12)
@@ -288,11 +311,11 @@ def _null(
     for n in np.diff([*range(0, draws, CHUNK), draws]):
         e = about.absorbed(about.drawn(int(n), rng))
         left = about.squares(e)
-        rho, S = _ar1(left, count)
+        rho, S = _ar1(left, count, about.largest_rho)
         weight = _kinds(rho) / S  # (3, channels, draws)
         b = np.einsum("tcn,tcnk->nk", weight, about.products(e.astype(np.float32), G))
         std = np.sqrt(np.maximum(np.einsum("tcn,tck->nk", weight, gg), 1e-12))
         z = b / std
         size = np.clip(z, low * std, high * std)  # in standard deviations
         found.append(np.sign(size) * np.sqrt(np.maximum(z**2 - (z - size) ** 2, 0.0)))
-    return np.concatenate(found)
+    return np.concatenate(found) if found else np.zeros((0, len(G)))

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.mismatch.candidates import Direction, null, shapes, slopes, within
-from vehicle_sbi.mismatch.detect import Linearised, Scores, profile, score
+from vehicle_sbi.mismatch.detect import Group, Linearised, Scores, gained, profile, score
 from vehicle_sbi.mismatch.fit import Fit, descend, with_own_noise
 from vehicle_sbi.mismatch.laws import Law, law_slopes, laws, under
 from vehicle_sbi.mismatch.locate import Block, blocks
@@ -68,10 +68,9 @@ class Joint:
 
 @dataclass(frozen=True)
 class Examined:
-    """A model with everything that it leaves out: directions, blocks and laws, their scores, and effects that have
-    several directions with all of them.
+    """A model with everything that it leaves out: directions, blocks and laws, and their scores in this order.
 
-    Scores are in the order directions, then blocks, then laws.
+    `stretches` are each channel's blocks of time together, `joint` are effects that have several directions.
     """
 
     model: Model
@@ -79,6 +78,7 @@ class Examined:
     blocks: list[Block]
     laws: list[Law]
     scores: Scores
+    stretches: list[Group]
     joint: dict[str, Joint]
 
     @property
@@ -86,24 +86,15 @@ class Examined:
         """Where the scores of blocks are among all."""
         return slice(len(self.directions), len(self.directions) + len(self.blocks))
 
-    @property
-    def _stretches(self) -> list[list[int]]:
-        """Rows of each channel's blocks of time."""
-        n, channels = len(self.directions), dict.fromkeys(block.channel for block in self.blocks)
-        return [
-            [n + i for i, block in enumerate(self.blocks) if block.channel == channel and not block.regime]
-            for channel in channels
-        ]
-
     @cached_property
     def p_value(self) -> float:
         """How often noise alone would leave as much over."""
-        return self.scores.p_value(self._stretches)
+        return self.scores.p_value(self.stretches)
 
     @cached_property
     def p_adequate(self) -> float:
         """The same, beyond what no model gets right."""
-        return self.scores.p_value(self._stretches, tolerated=TOLERANCE * self.model.explained)
+        return self.scores.p_value(self.stretches, tolerated=TOLERANCE * self.model.explained)
 
     @property
     def share_explained(self) -> float:
@@ -128,20 +119,43 @@ class Version:
 
 
 def examine(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Examined:
-    """Scores of all that a model leaves out of the directions that are known."""
+    """Scores of all that a model leaves out: of the directions that are known, of blocks and of laws."""
     simulator, theta = model.fit.simulator, model.fit.theta
-    fitted = set(simulator.space.names)
-    free = [d for d in known if d.parameter.name not in fitted and not fitted & {p.name for p in d.held}]
-    found = [shape for direction in free for shape in shapes(simulator, direction)]
+    found, named = _free(model, known)
     places, bumps = blocks(simulator, model.fit.at.y)
-    named = slopes(simulator, theta, found)
     new, ruled = _new(model.fit, laws(simulator, theta, model.fit.at.y), named)
-    changes = np.concatenate([named, bumps, ruled])
     far = [np.inf] * len(places)
     low = np.array([d.low for d in found] + [-x for x in far] + [law.target.size.low for law in new])
     high = np.array([d.high for d in found] + far + [law.target.size.high for law in new])
-    scores = score(model.fit, changes, low, high, rng=rng)
-    return Examined(model, found, places, new, scores, _joint(model, found, changes, scores))
+    scores = score(model.fit, np.concatenate([named, bumps, ruled]), low, high, rng=rng)
+    stretches = _stretches(model.fit, places, bumps, len(found))
+    return Examined(model, found, places, new, scores, stretches, _joint(model, found, named, scores))
+
+
+def glance(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Examined:
+    """The same of directions alone and without a null: enough to say which effects promise most."""
+    found, named = _free(model, known)
+    low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
+    scores = score(model.fit, named, low, high, rng=rng, draws=0)
+    return Examined(model, found, [], [], scores, [], _joint(model, found, named, scores))
+
+
+def _free(model: Model, known: Sequence[Direction]) -> tuple[list[Direction], Float[np.ndarray, "k channels time"]]:
+    """Directions, in each of their shapes, that the model has not got, and what they do."""
+    simulator = model.fit.simulator
+    fitted = set(simulator.space.names)
+    free = [d for d in known if d.parameter.name not in fitted and not fitted & {p.name for p in d.held}]
+    found = [shape for direction in free for shape in shapes(simulator, direction)]
+    return found, slopes(simulator, model.fit.theta, found)
+
+
+def _stretches(fit: Fit, places: Sequence[Block], bumps: Float[np.ndarray, "k channels time"], n: int) -> list[Group]:
+    """The blocks of time of each channel together; n scores come before those of blocks."""
+    groups = []
+    for channel in dict.fromkeys(block.channel for block in places):
+        rows = [k for k, block in enumerate(places) if block.channel == channel and not block.regime]
+        groups.append(Group([n + k for k in rows], gained(Linearised.of(fit), bumps[rows])))
+    return groups
 
 
 def _new(
@@ -239,6 +253,18 @@ def ruled(examined: Examined) -> Iterator[Model]:
             yield Model(model.effects, fit, model.explained, law, len(examined.laws))
 
 
+def without(model: Model, effect: str) -> Model | None:
+    """The model with one effect fewer, all other parameters fitted; None if it cannot be simulated."""
+    simulator, theta = model.fit.simulator, model.fit.theta
+    kept = [k for k, name in enumerate(simulator.space.names) if name.split(".")[0] != effect]
+    space = ParameterSpace(tuple(simulator.space.parameters[k] for k in kept))
+    found = descend(model.fit.observation.extended(replace(simulator, space=space)), theta[kept], STEPS)
+    if found is None:
+        return None
+    rest = tuple(name for name in model.effects if name != effect)
+    return Model(rest, with_own_noise(found, NOISE_ROUNDS, STEPS), model.explained)
+
+
 @dataclass(frozen=True)
 class Explanation:
     """Sets of effects, the most probable first, beside the base model and the best one, which were examined.
@@ -272,6 +298,13 @@ class Explanation:
     def laws(self) -> list[tuple[Model, float]]:
         """Models with a law that the catalogue does not have, and their probabilities."""
         return list(zip(self.unnamed, self._shares[len(self.models) : -2].tolist(), strict=True))
+
+    @property
+    def beside_unknown(self) -> tuple[str, ...]:
+        """The known effects that the likeliest of what holds something unknown has beside it."""
+        ruled = [model.effects for model in self.unnamed]
+        shares = self._shares[[*range(len(self.models), len(self.models) + len(ruled)), -1]]
+        return [*ruled, self.best.model.effects][int(np.argmax(shares))]
 
     @property
     def p_none(self) -> float:
@@ -327,8 +360,22 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
         frontier = [best, *(examine(model, known, rng) for model in leading[1:])]
         unnamed += [model for examined in frontier for model in ruled(examined)]
     unnamed.sort(key=_weight, reverse=True)
+    for model in _exchanged(best.model, known, rng):
+        pool.setdefault(model.effects, model)
     named = sorted((model for model in pool.values() if model.effects), key=_weight, reverse=True)
+    if named and _weight(named[0]) > _weight(best.model):
+        best = examine(named[0], known, rng)
     return Explanation(named, unnamed, first, best)
+
+
+def _exchanged(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Iterator[Model]:
+    """A set of several effects with each of them exchanged for others that promise as much in its place.
+
+    The search has grown the set one by one, and so has not seen what could stand in for those that came first.
+    """
+    for effect in model.effects if len(model.effects) > 1 else ():
+        if (rest := without(model, effect)) is not None:
+            yield from _grow(glance(rest, known, rng))
 
 
 def _grow(examined: Examined) -> Iterator[Model]:

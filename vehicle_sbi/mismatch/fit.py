@@ -27,6 +27,7 @@ SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tr
 MOST_STEPS = 15
 CONVERGED = 0.01  # decrease of half the sum of squares, which is log likelihood, at which a fit ends
 NOISE_ROUNDS = 4  # of fit and noise at most
+MEMORY_S = 0.5  # [s], the correlation time of noise at most: what is slower is physics, or a sensor that drifts
 STATES = ("v_x", "v_y", "r")
 
 Series = Float[np.ndarray, "channels time"]
@@ -245,7 +246,7 @@ def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS
     """The fit under the noise that it leaves over itself, both in turn until the noise stays; as is if it is known."""
     for _ in range(rounds if fit.observation.estimated else 0):
         before = fit.simulator.noise
-        noise = from_residual(fit.unexplained, fit.simulator.windows)
+        noise = from_residual(fit.unexplained, fit.simulator.windows, MEMORY_S)
         found = descend(fit.observation.extended(fit.simulator.with_noise(noise)), fit.theta, steps)
         if found is None:
             return fit

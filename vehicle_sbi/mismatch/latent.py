@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.mismatch.detect import Linearised, profile
+from vehicle_sbi.mismatch.detect import Linearised, gained, profile
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law, Target, law_slopes, targets
 from vehicle_sbi.mismatch.locate import bump, clock, stretches
@@ -58,11 +58,9 @@ def _fitted(
     fit: Fit, target: Target, rows: Float[np.ndarray, "q channels time"], spans: list[tuple[float, float]]
 ) -> Latent:
     about, free = Linearised.of(fit), np.full((1, len(rows)), np.inf)
-    none = profile(about, rows[None][:, :0], free[:, :0], free[:, :0]).log_likelihood[0]
-    best = profile(about, rows[None], -free, free)
+    size = profile(about, rows[None], -free, free).size[0]
     starts, stops = zip(*spans, strict=True)
-    gain = float(best.log_likelihood[0] - none)
-    return Latent(target.name, target.size.unit, [*starts], [*stops], best.size[0].tolist(), gain)
+    return Latent(target.name, target.size.unit, [*starts], [*stops], size.tolist(), gained(about, rows))
 
 
 def what_it_takes(fit: Fit) -> Latent | None:

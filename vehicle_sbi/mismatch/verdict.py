@@ -75,8 +75,10 @@ class Followed:
 
 @dataclass(frozen=True)
 class Unknown:
-    """What is missing where no known effect is it: laws, the likeliest first, and what load or error over time."""
+    """What is missing where no known effect is it: laws, the likeliest first, what load or error over time, and which
+    known effects are likely to be missing beside it."""
 
+    effects: tuple[str, ...]
     laws: list[Followed]
     over_time: Latent | None
 
@@ -195,7 +197,7 @@ def _unknown(explanation: Explanation) -> Unknown:
         assert model.law is not None
         size = estimates(model.fit)[model.law.target.size.name]
         laws.append(Followed(model.law.target.name, model.law.signal, size, model.effects, probability))
-    return Unknown(laws, what_it_takes(explanation.best.model.fit))
+    return Unknown(explanation.beside_unknown, laws, what_it_takes(explanation.best.model.fit))
 
 
 def exchangeable(together: Sequence[Sequence[str]]) -> list[list[str]]:
