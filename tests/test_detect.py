@@ -1,5 +1,7 @@
 """Scores are sizes over their standard deviations, evidences are integrals, and p-values are uniform under the null."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from recorded import fitted, lateral, recorded
@@ -7,7 +9,8 @@ from scipy.integrate import quad
 from scipy.stats import kstest
 
 from vehicle_sbi.mismatch.candidates import directions, slopes
-from vehicle_sbi.mismatch.detect import Scores, score
+from vehicle_sbi.mismatch.detect import Group, Linearised, Scores, gained, score
+from vehicle_sbi.mismatch.locate import bump, clock, stretches
 from vehicle_sbi.physics.effects import CATALOGUE
 
 
@@ -42,9 +45,10 @@ def test_the_size_of_a_bias_comes_out_as_it_went_in() -> None:
 
 
 def test_p_values_are_uniform_where_nothing_is_missing() -> None:
-    # 60 recordings; noise and parameters are fitted to each. A Kolmogorov-Smirnov test at 0.1 % keeps chance out.
+    # 60 recordings; noise and parameters are fitted to each. A Kolmogorov-Smirnov test at 0.1 % keeps chance out, of
+    # the largest score alone, and beside four stretches of a_y together.
     sim, found = lateral(seconds=5.0), []
-    p = []
+    p, together = [], []
     for seed in range(60):
         fit = fitted(recorded(sim, seed=seed))
         found = found or [
@@ -54,4 +58,26 @@ def test_p_values_are_uniform_where_nothing_is_missing() -> None:
         low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
         changes = slopes(fit.simulator, fit.theta, found)
         p.append(score(fit, changes, low, high, rng=np.random.default_rng(seed), draws=300).p_value())
+        bumps = np.zeros((4, *sim.shape))
+        bumps[:, 1] = [bump(clock(sim), *span) for span in stretches(sim)[1:5]]
+        free = np.full(4, np.inf)
+        scores = score(fit, bumps, -free, free, rng=np.random.default_rng(seed), draws=300)
+        group = Group([0, 1, 2, 3], gained(Linearised.of(fit), bumps))
+        together.append(scores.p_value([group]))
     assert kstest(p, "uniform").pvalue > 1e-3
+    assert kstest(together, "uniform").pvalue > 1e-3
+
+
+def test_a_walk_is_no_noise_once_it_remembers_for_long() -> None:
+    # A gyro whose zero walks 0.02 rad/s in a second; its steps alone are as white as any noise.
+    observation = recorded(lateral(), seed=3)
+    walk = 0.02 * np.sqrt(1 / 50) * np.cumsum(np.random.default_rng(1).standard_normal(500))
+    off = observation.observed.copy()
+    off[2] += walk
+    fit = fitted(replace(observation, observed=off))
+    spans = stretches(fit.simulator)
+    bumps = np.zeros((len(spans), *fit.at.y.shape))
+    bumps[:, 2] = [bump(clock(fit.simulator), *span) for span in spans]
+    free = np.full(len(spans), np.inf)
+    scores = score(fit, bumps, -free, free, rng=np.random.default_rng(0), draws=200)
+    assert scores.p_value([Group(list(range(len(spans))), gained(Linearised.of(fit), bumps))]) < 0.05

@@ -14,11 +14,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.mismatch.candidates import Direction, null, shapes, slopes, within
+from vehicle_sbi.mismatch.candidates import Direction, null, within
 from vehicle_sbi.mismatch.detect import Group, Linearised, Scores, gained, profile, score
 from vehicle_sbi.mismatch.fit import Fit, descend, with_own_noise
-from vehicle_sbi.mismatch.laws import Law, law_slopes, laws, under
-from vehicle_sbi.mismatch.locate import Block, blocks
+from vehicle_sbi.mismatch.laws import Law, under
+from vehicle_sbi.mismatch.locate import Block
+from vehicle_sbi.mismatch.repertoire import Inventory, Repertoire
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -28,11 +29,11 @@ LEAST_SHARE, SLACK = 0.65, 8.0  # of the best one's first-order evidence that th
 BEAM = 2  # models that are extended further
 MOST_EFFECTS = 3
 RELUCTANCE = (0.5, 0.4, 0.09, 0.01)  # prior probability of none, one, two, three effects
-UNKNOWN = 0.2  # prior odds of something outside the catalogue, beside a model
+UNKNOWN = 0.3  # prior odds of something outside the catalogue, beside a model
 ALIKE = 0.98  # coherence with a direction of the catalogue from which a law says nothing new
-LAWS_TRIED = 3  # that are fitted fully beside each model
+LAWS_TRIED = 2  # that are fitted fully beside a model
 SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
-TEMPER = 0.6  # power of the evidence, set on 47 simulated diagnoses of their own
+TEMPER = 0.6  # power of the evidence; it and UNKNOWN were set on 63 simulated diagnoses
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
 HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance
@@ -68,23 +69,16 @@ class Joint:
 
 @dataclass(frozen=True)
 class Examined:
-    """A model with everything that it leaves out: directions, blocks and laws, and their scores in this order.
+    """A model with everything that it leaves out, and the scores of it all.
 
     `stretches` are each channel's blocks of time together, `joint` are effects that have several directions.
     """
 
     model: Model
-    directions: list[Direction]
-    blocks: list[Block]
-    laws: list[Law]
+    free: Inventory
     scores: Scores
     stretches: list[Group]
     joint: dict[str, Joint]
-
-    @property
-    def of_blocks(self) -> slice:
-        """Where the scores of blocks are among all."""
-        return slice(len(self.directions), len(self.directions) + len(self.blocks))
 
     @cached_property
     def p_value(self) -> float:
@@ -105,7 +99,7 @@ class Examined:
     @property
     def largest_block(self) -> Block:
         """Where most is left over."""
-        return self.blocks[int(np.argmax(np.abs(self.scores.z[self.of_blocks])))]
+        return self.free.blocks[int(np.argmax(np.abs(self.scores.z[self.free.of_blocks])))]
 
 
 @dataclass(frozen=True)
@@ -118,53 +112,29 @@ class Version:
     score: float
 
 
-def examine(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Examined:
-    """Scores of all that a model leaves out: of the directions that are known, of blocks and of laws."""
-    simulator, theta = model.fit.simulator, model.fit.theta
-    found, named = _free(model, known)
-    places, bumps = blocks(simulator, model.fit.at.y)
-    new, ruled = _new(model.fit, laws(simulator, theta, model.fit.at.y), named)
-    far = [np.inf] * len(places)
-    low = np.array([d.low for d in found] + [-x for x in far] + [law.target.size.low for law in new])
-    high = np.array([d.high for d in found] + far + [law.target.size.high for law in new])
-    scores = score(model.fit, np.concatenate([named, bumps, ruled]), low, high, rng=rng)
-    stretches = _stretches(model.fit, places, bumps, len(found))
-    return Examined(model, found, places, new, scores, stretches, _joint(model, found, named, scores))
+def examine(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Examined:
+    """Scores of all in a repertoire that a model leaves out."""
+    free = repertoire.beyond(model.fit)
+    about = Linearised.of(model.fit)
+    free = free.ruled_by(about.coherence(free.ruled, free.named).max(axis=1, initial=0.0) < ALIKE)
+    scores = score(model.fit, free.changes, *free.of.bounds, rng=rng)
+    return Examined(model, free.of, scores, _stretches(about, free), _joint(about, free, scores))
 
 
-def glance(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Examined:
+def glance(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Examined:
     """The same of directions alone and without a null: enough to say which effects promise most."""
-    found, named = _free(model, known)
-    low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
-    scores = score(model.fit, named, low, high, rng=rng, draws=0)
-    return Examined(model, found, [], [], scores, [], _joint(model, found, named, scores))
+    free = repertoire.beyond(model.fit).alone()
+    scores = score(model.fit, free.changes, *free.of.bounds, rng=rng, draws=0)
+    return Examined(model, free.of, scores, [], _joint(Linearised.of(model.fit), free, scores))
 
 
-def _free(model: Model, known: Sequence[Direction]) -> tuple[list[Direction], Float[np.ndarray, "k channels time"]]:
-    """Directions, in each of their shapes, that the model has not got, and what they do."""
-    simulator = model.fit.simulator
-    fitted = set(simulator.space.names)
-    free = [d for d in known if d.parameter.name not in fitted and not fitted & {p.name for p in d.held}]
-    found = [shape for direction in free for shape in shapes(simulator, direction)]
-    return found, slopes(simulator, model.fit.theta, found)
-
-
-def _stretches(fit: Fit, places: Sequence[Block], bumps: Float[np.ndarray, "k channels time"], n: int) -> list[Group]:
-    """The blocks of time of each channel together; n scores come before those of blocks."""
-    groups = []
-    for channel in dict.fromkeys(block.channel for block in places):
-        rows = [k for k, block in enumerate(places) if block.channel == channel and not block.regime]
-        groups.append(Group([n + k for k in rows], gained(Linearised.of(fit), bumps[rows])))
+def _stretches(about: Linearised, free: Repertoire) -> list[Group]:
+    """The blocks of time of each channel together."""
+    groups, first = [], free.of.of_blocks.start
+    for channel in dict.fromkeys(block.channel for block in free.of.blocks):
+        rows = [k for k, block in enumerate(free.of.blocks) if block.channel == channel and not block.regime]
+        groups.append(Group([first + k for k in rows], gained(about, free.bumps[rows])))
     return groups
-
-
-def _new(
-    fit: Fit, given: Sequence[Law], named: Float[np.ndarray, "k channels time"]
-) -> tuple[list[Law], Float[np.ndarray, "n channels time"]]:
-    """Laws that differ from every direction of the catalogue in what a fit leaves of them, and what they do."""
-    ruled = law_slopes(fit.simulator, fit.theta, fit.at.y, given)
-    kept = Linearised.of(fit).coherence(ruled, named).max(axis=1, initial=0.0) < ALIKE
-    return [law for law, new in zip(given, kept, strict=True) if new], ruled[kept]
 
 
 def _by_effect(found: Sequence[Direction]) -> dict[str, dict[str, list[int]]]:
@@ -175,13 +145,10 @@ def _by_effect(found: Sequence[Direction]) -> dict[str, dict[str, list[int]]]:
     return rows
 
 
-def _joint(
-    model: Model, found: Sequence[Direction], changes: Float[np.ndarray, "k channels time"], scores: Scores
-) -> dict[str, Joint]:
+def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joint]:
     """Effects with several directions: all of them at once, under normal priors as wide as their boxes."""
-    about = Linearised.of(model.fit)
-    nothing = np.zeros((1, 0))
-    base = profile(about, changes[:1, None][:, :0], nothing, nothing).log_likelihood[0]
+    found, changes, nothing = free.of.directions, free.named, np.zeros((1, 0))
+    base = profile(about, changes[None, :0], nothing, nothing).log_likelihood[0]
     together = {}
     for effect, by_parameter in _by_effect(found).items():
         if len(by_parameter) < 2:
@@ -197,7 +164,9 @@ def _joint(
 
 def versions(examined: Examined) -> list[Version]:
     """The best way in which each effect may act, the most promising effect first."""
-    found = [_version(examined, name, list(rows.values())) for name, rows in _by_effect(examined.directions).items()]
+    found = [
+        _version(examined, name, list(rows.values())) for name, rows in _by_effect(examined.free.directions).items()
+    ]
     return sorted(found, key=lambda version: -version.log_evidence)
 
 
@@ -216,7 +185,7 @@ def _version(examined: Examined, effect: str, rows: Sequence[list[int]]) -> Vers
 
 def _start(examined: Examined, rows: list[int], sizes: Float[np.ndarray, " q"]) -> dict[Parameter, float]:
     """Where to start fitting: shapes as they were tried, sizes as they came out, off the rim of their boxes."""
-    chosen = [examined.directions[k] for k in rows]
+    chosen = [examined.free.directions[k] for k in rows]
     start = {p: value for d in chosen for p, value in d.held.items()}
     for d, size in zip(chosen, sizes, strict=True):
         start[d.parameter] = null(d.parameter) + float(np.clip(size, 0.98 * d.low, 0.98 * d.high))
@@ -240,17 +209,17 @@ def extended(model: Model, version: Version) -> Model | None:
 
 def ruled(examined: Examined) -> Iterator[Model]:
     """The model with each of the few laws that promise most."""
-    model, n = examined.model, len(examined.directions) + len(examined.blocks)
-    evidence, size = examined.scores.log_evidence[n:], examined.scores.size[n:]
+    model, of_laws = examined.model, examined.free.of_laws
+    evidence, size = examined.scores.log_evidence[of_laws], examined.scores.size[of_laws]
     for k in np.argsort(-evidence)[:LAWS_TRIED]:
         if evidence[k] < HOPELESS:
             return
-        law = examined.laws[k]
+        law = examined.free.laws[k]
         start = np.append(model.fit.theta, np.clip(size[k], 0.98 * law.target.size.low, 0.98 * law.target.size.high))
         found = descend(model.fit.observation.extended(under(model.fit.simulator, law)), start, STEPS)
         if found is not None:
             fit = with_own_noise(found, NOISE_ROUNDS, STEPS)
-            yield Model(model.effects, fit, model.explained, law, len(examined.laws))
+            yield Model(model.effects, fit, model.explained, law, len(examined.free.laws))
 
 
 def without(model: Model, effect: str) -> Model | None:
@@ -339,11 +308,13 @@ class Explanation:
 def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) -> Explanation:
     """Search sets of effects from the base model on, among the directions that are known to act at its fit."""
     none = Model((), base, 0.0)
-    first = examine(none, known, rng)
+    repertoire = Repertoire.around(base, known)
+    first = examine(none, repertoire, rng)
     pool: dict[tuple[str, ...], Model] = {(): none}
     best = first
     frontier = [first] if first.p_value < LEVEL else []
-    unnamed = [model for examined in frontier for model in ruled(examined)]
+    unnamed = [*ruled(first)] if frontier else []
+    promising = {version.effect for version in versions(first)[:TRIED]}
     for _ in range(MOST_EFFECTS):
         grown: dict[tuple[str, ...], Model] = {}
         for model in (model for examined in frontier for model in _grow(examined)):
@@ -354,28 +325,29 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
         leading = sorted(grown.values(), key=_weight, reverse=True)[:BEAM]
         if not leading or _weight(leading[0]) <= _weight(best.model):
             break
-        best = examine(leading[0], known, rng)
+        best = examine(leading[0], repertoire, rng)
         if best.p_value > LEVEL:
             break
-        frontier = [best, *(examine(model, known, rng) for model in leading[1:])]
-        unnamed += [model for examined in frontier for model in ruled(examined)]
+        frontier = [best, *(examine(model, repertoire, rng) for model in leading[1:])]
+        unnamed += ruled(best)
+        promising |= {version.effect for examined in frontier for version in versions(examined)[:TRIED]}
     unnamed.sort(key=_weight, reverse=True)
-    for model in _exchanged(best.model, known, rng):
+    for model in _exchanged(best.model, repertoire.only(promising), rng):
         pool.setdefault(model.effects, model)
     named = sorted((model for model in pool.values() if model.effects), key=_weight, reverse=True)
     if named and _weight(named[0]) > _weight(best.model):
-        best = examine(named[0], known, rng)
+        best = examine(named[0], repertoire, rng)
     return Explanation(named, unnamed, first, best)
 
 
-def _exchanged(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Iterator[Model]:
+def _exchanged(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Iterator[Model]:
     """A set of several effects with each of them exchanged for others that promise as much in its place.
 
     The search has grown the set one by one, and so has not seen what could stand in for those that came first.
     """
     for effect in model.effects if len(model.effects) > 1 else ():
         if (rest := without(model, effect)) is not None:
-            yield from _grow(glance(rest, known, rng))
+            yield from _grow(glance(rest, repertoire, rng))
 
 
 def _grow(examined: Examined) -> Iterator[Model]:

@@ -220,14 +220,17 @@ def _cost(metric: Metric, residual: Float[np.ndarray, "n channels time"]) -> Flo
 
 
 def descend(observation: Observation, start: Float[np.ndarray, " d"], steps: int = MOST_STEPS) -> Fit | None:
-    """The optimum that Gauss-Newton finds from `start` under the noise as it is; None where the simulation fails.
+    """The optimum that Gauss-Newton finds from `start` under the noise as it is; None where the simulation fails."""
+    fit = Fit(observation, start, linearise(observation.simulator, start))
+    return onwards(fit, steps) if np.isfinite(fit.at.y).all() else None
+
+
+def onwards(fit: Fit, steps: int) -> Fit:
+    """From a fit to the optimum, as far as so many steps go.
 
     What initial states do is taken from the start, which hardly depends on theta.
     """
-    fit = Fit(observation, start, linearise(observation.simulator, start))
-    if not np.isfinite(fit.at.y).all():
-        return None
-    valid = observation.simulator.windows.valid
+    observation, valid = fit.observation, fit.simulator.windows.valid
     for _ in range(steps):
         now, theta = _cost(fit.metric, fit.residual[None])[0], None
         for points in np.split(_steps(fit), [1]):  # the whole step, and only if that is too far shorter ones
@@ -247,10 +250,7 @@ def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS
     for _ in range(rounds if fit.observation.estimated else 0):
         before = fit.simulator.noise
         noise = from_residual(fit.unexplained, fit.simulator.windows, MEMORY_S)
-        found = descend(fit.observation.extended(fit.simulator.with_noise(noise)), fit.theta, steps)
-        if found is None:
-            return fit
-        fit = found
+        fit = onwards(replace(fit, observation=fit.observation.extended(fit.simulator.with_noise(noise))), steps)
         if np.allclose(noise.floor, before.floor, rtol=0.01) and np.allclose(noise.rho, before.rho, atol=0.005):
             break
     return fit

@@ -69,8 +69,11 @@ class Followed:
     def sentence(self) -> str:
         """The law, in words."""
         beside = f" beside {_listed(self.effects)}" if self.effects else ""
-        size = quantity(f"The likeliest law outside the catalogue{beside} is one of {self.target}", self.size)
-        return f"{size} where {self.signal}, which it follows, has its root mean square.".replace(" = ", ", ")
+        size = quantity("", self.size).removeprefix(" = ")
+        return (
+            f"The likeliest law outside the catalogue{beside}: {self.target} that follows {self.signal}, "
+            f"{size} at its root mean square."
+        )
 
 
 @dataclass(frozen=True)
@@ -134,14 +137,12 @@ def estimates(fit: Fit) -> dict[str, Estimate]:
 
 def places(explanation: Explanation) -> list[Place]:
     """Blocks in which the base model leaves more than noise would, the largest first."""
-    scores, of_blocks = explanation.base.scores, explanation.base.of_blocks
-    z, p = scores.z[of_blocks], scores.p_values[of_blocks]
+    free, scores = explanation.base.free, explanation.base.scores
+    z, p = scores.z[free.of_blocks], scores.p_values[free.of_blocks]
     significant = np.flatnonzero(p < 0.05)
-    whole = merged([explanation.base.blocks[k] for k in significant], z[significant])
+    whole = merged([free.blocks[k] for k in significant], z[significant])
     total = sum(energy for _, energy in whole)
-    smallest = {
-        place: min(float(p[k]) for k in significant if place.holds(explanation.base.blocks[k])) for place, _ in whole
-    }
+    smallest = {place: min(float(p[k]) for k in significant if place.holds(free.blocks[k])) for place, _ in whole}
     return [Place(b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime) for b, energy in whole]
 
 
