@@ -43,7 +43,7 @@ def answers(verdict: Json) -> list[tuple[Answer, float]]:
 
 def _beside(verdict: Json) -> Answer:
     """Known effects that stand beside something unknown."""
-    return frozenset((verdict["unknown"] or {}).get("effects", ()))
+    return frozenset((verdict.get("unknown") or {}).get("effects", ()))
 
 
 def right(truth: Json) -> Answer:

@@ -211,7 +211,7 @@ def _steps(fit: Fit) -> Float[np.ndarray, "shares d"]:
     return np.clip(fit.theta + np.array(SHARES)[:, None] * step, space.low, space.high)
 
 
-def _cost(metric: Metric, residual: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, " n"]:
+def cost(metric: Metric, residual: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, " n"]:
     """Half the sum of squares of each residual, infinite where a simulation failed."""
     good = np.isfinite(residual).all(axis=(1, 2))
     cost = np.full(len(residual), np.inf)
@@ -232,10 +232,10 @@ def onwards(fit: Fit, steps: int) -> Fit:
     """
     observation, valid = fit.observation, fit.simulator.windows.valid
     for _ in range(steps):
-        now, theta = _cost(fit.metric, fit.residual[None])[0], None
+        now, theta = cost(fit.metric, fit.residual[None])[0], None
         for points in np.split(_steps(fit), [1]):  # the whole step, and only if that is too far shorter ones
             y = observation.simulator.noise_free(points)
-            costs = _cost(fit.metric, np.where(valid, observation.observed - y, 0.0))
+            costs = cost(fit.metric, np.where(valid, observation.observed - y, 0.0))
             if now - costs.min() >= CONVERGED:
                 theta = points[int(np.argmin(costs))]
                 break

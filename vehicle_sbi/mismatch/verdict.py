@@ -11,6 +11,7 @@ from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.experiment import advice
 from vehicle_sbi.mismatch.explain import Explanation, Model
 from vehicle_sbi.mismatch.fit import Fit
+from vehicle_sbi.mismatch.gate import Gate
 from vehicle_sbi.mismatch.improve import Gain, Prediction
 from vehicle_sbi.mismatch.latent import Latent, what_it_takes
 from vehicle_sbi.mismatch.locate import merged
@@ -154,6 +155,7 @@ def _named(model: Model, probability: float) -> Named:
 
 def verdict(
     case: Case,
+    passed: Gate,
     explanation: Explanation,
     predictions: Mapping[str, Prediction],
     gained: Gain | None,
@@ -186,7 +188,7 @@ def verdict(
             name: {"before": _plain(before[name]), "after": _plain(after[name]), "unit": before[name].unit}
             for name in before
         },
-        notes=[*_rim(explanation.base.model.fit), *case.notes],
+        notes=[*passed.notes, *_rim(explanation.base.model.fit), *case.notes],
         sentence=sentence(explanation, gained, together, seen, unknown),
     )
 

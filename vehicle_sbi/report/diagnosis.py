@@ -14,6 +14,7 @@ from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.explain import Explanation, explain
 from vehicle_sbi.mismatch.fit import Fit, best
+from vehicle_sbi.mismatch.gate import through
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
 from vehicle_sbi.mismatch.separability import Card, card
 from vehicle_sbi.mismatch.verdict import Verdict, chosen, quantity, verdict
@@ -29,14 +30,14 @@ Result = TypeVar("Result")
 
 def diagnose(folder: RunFolder, case: Case, *, seed: int, figures: bool) -> None:
     """All stages, each kept on disk once it is done, then everything that is written for the user."""
-    rng = generator(seed=seed, stream=Stream.STUDY, index=2)
-    base = _kept(folder, "fit", lambda: fitted(case, rng))
+    starts, draws = (generator(seed=seed, stream=Stream.STUDY, index=k) for k in (2, 3))  # a stage has its own
+    base, passed = _kept(folder, "fit", lambda: through(fitted(case, starts), starts))
     known = _kept(folder, "directions", lambda: left_out(base.simulator, base.theta))
     seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta, known))
-    found = _kept(folder, "explanation", lambda: explain(base, known, rng=rng))
+    found = _kept(folder, "explanation", lambda: explain(base, known, rng=draws))
     with folder.stage("report"):
         predictions, gained = compared(case, found)
-        answer = verdict(case, found, predictions, gained, seen)
+        answer = verdict(case, passed, found, predictions, gained, seen)
         write(folder, found, answer)
         if figures:
             write_report(folder, case, found, predictions, answer, seen)
