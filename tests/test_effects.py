@@ -98,7 +98,7 @@ def test_without_effects_the_equations_of_motion_are_the_paper_s() -> None:
     assert p["grip"] == 0.9
     assert p["F_zf_static"] == weight * (L - l_f) / L
     assert p["F_zr_static"] == weight * l_f / L
-    assert all(body_load(p, v_x, t) == (0.0, 0.0, 0.0) for v_x in (-20.0, 0.0, 0.5, 60.0) for t in (0.0, 3.0))
+    assert all(body_load(p, v_x, t, 1.0) == (0.0, 0.0, 0.0) for v_x in (-20.0, 0.0, 0.5, 60.0) for t in (0.0, 3.0))
 
 
 @every_effect

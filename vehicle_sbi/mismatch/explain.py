@@ -268,12 +268,21 @@ class Explanation:
         """Models with a law that the catalogue does not have, and their probabilities."""
         return list(zip(self.unnamed, self._shares[len(self.models) : -2].tolist(), strict=True))
 
+    @cached_property
+    def beside_unknown(self) -> dict[tuple[str, ...], float]:
+        """How probable it is that a set of known effects and something unknown are missing, the most probable first.
+
+        The empty set is among them.
+        """
+        found: dict[tuple[str, ...], float] = {}
+        for effects, share in [*((model.effects, p) for model, p in self.laws), (self.best.model.effects, self._left)]:
+            found[effects] = found.get(effects, 0.0) + share
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
+
     @property
-    def beside_unknown(self) -> tuple[str, ...]:
-        """The known effects that the likeliest of what holds something unknown has beside it."""
-        ruled = [model.effects for model in self.unnamed]
-        shares = self._shares[[*range(len(self.models), len(self.models) + len(ruled)), -1]]
-        return [*ruled, self.best.model.effects][int(np.argmax(shares))]
+    def _left(self) -> float:
+        """Probability of what the best set leaves over being something that no law explains either."""
+        return float(self._shares[-1])
 
     @property
     def p_none(self) -> float:
@@ -283,7 +292,7 @@ class Explanation:
     @property
     def p_unknown(self) -> float:
         """That something is missing which no set of known effects explains."""
-        return float(self._shares[len(self.models) : -2].sum() + self._shares[-1])
+        return float(sum(self.beside_unknown.values()))
 
     @property
     def p_value(self) -> float:

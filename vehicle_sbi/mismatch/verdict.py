@@ -20,6 +20,7 @@ from vehicle_sbi.physics.effects import CATALOGUE
 
 SCHEMA = 1
 LISTED = 10  # explanations at most
+SPELLED_OUT = 5  # parameters of an effect at most
 SPOKEN_OF = 0.2  # probability of something unknown from which it is said what that would be
 
 
@@ -48,10 +49,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Named:
-    """A set of effects, how probable it is, and the size of its parameters."""
+    """A set of effects, how probable it is that they are all that is missing, and that they and something unknown are,
+    and the size of its parameters."""
 
     effects: tuple[str, ...]
     probability: float
+    beside_unknown: float
     parameters: dict[str, Estimate]
 
 
@@ -147,10 +150,10 @@ def places(explanation: Explanation) -> list[Place]:
     return [Place(b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime) for b, energy in whole]
 
 
-def _named(model: Model, probability: float) -> Named:
+def _named(model: Model, probability: float, beside_unknown: float) -> Named:
     found = estimates(model.fit)
     own = {name: value for name, value in found.items() if name.split(".")[0] in model.effects}
-    return Named(model.effects, probability, own)
+    return Named(model.effects, probability, beside_unknown, own)
 
 
 def verdict(
@@ -170,7 +173,10 @@ def verdict(
     fit |= {name: asdict(Score(p.nrmse, p.mean_log_score, p.coverage90)) for name, p in predictions.items()}
     if gained is not None:
         fit["gain_log_score"] = asdict(gained)
-    found = [_named(m, p) for m, p in zip(explanation.models[:LISTED], explanation.probability[:LISTED], strict=True)]
+    found = [
+        _named(m, p, explanation.beside_unknown.get(m.effects, 0.0))
+        for m, p in zip(explanation.models[:LISTED], explanation.probability[:LISTED], strict=True)
+    ]
     rest = sum(explanation.probability[LISTED:])
     return Verdict(
         schema=SCHEMA,
@@ -200,7 +206,7 @@ def _unknown(explanation: Explanation) -> Unknown:
         assert model.law is not None
         size = estimates(model.fit)[model.law.target.size.name]
         laws.append(Followed(model.law.target.name, model.law.signal, size, model.effects, probability))
-    return Unknown(explanation.beside_unknown, laws, what_it_takes(explanation.best.model.fit))
+    return Unknown(next(iter(explanation.beside_unknown)), laws, what_it_takes(explanation.best.model.fit))
 
 
 def exchangeable(together: Sequence[Sequence[str]]) -> list[list[str]]:
@@ -292,8 +298,17 @@ def _answer(explanation: Explanation) -> list[str]:
         )
     meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
     own = {k: v for k, v in estimates(best.fit).items() if k.split(".")[0] in best.effects}
-    sizes = "; ".join(quantity(name, e) for name, e in own.items())
+    sizes = "; ".join(size for name in best.effects for size in _sizes(name, own))
     return [f"{named}: {meaning} ({sizes})."]
+
+
+def _sizes(effect: str, own: Mapping[str, Estimate]) -> list[str]:
+    """The sizes of an effect's parameters; of a profile its range."""
+    values = {name: e for name, e in own.items() if name.split(".")[0] == effect}
+    if len(values) <= SPELLED_OUT:
+        return [quantity(name, e) for name, e in values.items()]
+    low, high = min(e.mean for e in values.values()), max(e.mean for e in values.values())
+    return [f"{effect}: {len(values)} values from {low:.2g} to {high:.2g} {next(iter(values.values())).unit}"]
 
 
 def _limits(seen: Card) -> str:

@@ -124,14 +124,15 @@ def _explanations(answer: Verdict) -> pd.DataFrame:
         {
             "explanation": " with ".join(one.effects),
             "probability": f"{one.probability:.3f}",
+            "with something unknown": f"{one.beside_unknown:.3f}",
             "size": "; ".join(quantity(name, e) for name, e in one.parameters.items()),
         }
         for one in answer.explanations
-        if one.probability >= 0.001
+        if one.probability + one.beside_unknown >= 0.001
     ]
     rows += [
-        {"explanation": "none", "probability": f"{answer.p_none:.3f}", "size": ""},
-        {"explanation": "unknown", "probability": f"{answer.p_unknown:.3f}", "size": ""},
+        {"explanation": "none", "probability": f"{answer.p_none:.3f}", "with something unknown": "", "size": ""},
+        {"explanation": "unknown", "probability": f"{answer.p_unknown:.3f}", "with something unknown": "", "size": ""},
     ]
     return pd.DataFrame(rows)
 

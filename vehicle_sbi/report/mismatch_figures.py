@@ -56,20 +56,23 @@ def _smooth(values: np.ndarray, rate: float) -> np.ndarray:
 
 
 def probabilities(answer: Verdict, path: Path) -> None:
-    """A bar for each explanation, for none and for unknown."""
-    bars = [(" + ".join(one.effects), one.probability) for one in answer.explanations[:MOST_BARS]]
-    bars += [("none", answer.p_none), ("unknown", answer.p_unknown)]
+    """A bar for each explanation, alone and with something unknown beside it, for none and for unknown alone."""
+    likeliest = sorted(answer.explanations, key=lambda one: -one.probability - one.beside_unknown)
+    bars = [(" + ".join(one.effects), one.probability, one.beside_unknown) for one in likeliest[:MOST_BARS]]
+    alone = answer.p_unknown - sum(one.beside_unknown for one in answer.explanations)
+    bars += [("none", answer.p_none, 0.0), ("unknown alone", 0.0, max(alone, 0.0))]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.0, 0.32 * len(bars) + 0.9), layout="constrained")
         axis = figure.subplots()
-        names, values = zip(*reversed(bars), strict=True)
-        colors = [MEASURED if name in ("none", "unknown") else POSTERIOR for name in names]
-        axis.barh(range(len(bars)), values, color=colors, height=0.65)
+        names, known, beside = zip(*reversed(bars), strict=True)
+        axis.barh(range(len(bars)), known, color=POSTERIOR, height=0.65, label="all that is missing")
+        axis.barh(range(len(bars)), beside, left=known, color=MEASURED, height=0.65, label="with something unknown")
         axis.set_yticks(range(len(bars)), names)
-        for i, value in enumerate(values):
+        for i, value in enumerate(np.add(known, beside)):
             axis.text(value + 0.01, i, f"{value:.3f}", va="center", fontsize=8)
         axis.set_xlim(0.0, 1.1)
         axis.set_xlabel("probability")
+        axis.legend(fontsize=8, frameon=False, loc="lower right")
         save(figure, path, [])
 
 
