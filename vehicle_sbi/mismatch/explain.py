@@ -272,12 +272,23 @@ class Explanation:
     def beside_unknown(self) -> dict[tuple[str, ...], float]:
         """How probable it is that a set of known effects and something unknown are missing, the most probable first.
 
-        The empty set is among them.
+        The empty set is among them. Laws are fitted beside the best set of a size alone; beside the others they are
+        taken to do as well.
         """
         found: dict[tuple[str, ...], float] = {}
         for effects, share in [*((model.effects, p) for model, p in self.laws), (self.best.model.effects, self._left)]:
-            found[effects] = found.get(effects, 0.0) + share
+            for stand_in, part in self._stand_ins(effects).items():
+                found[stand_in] = found.get(stand_in, 0.0) + share * part
         return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+    def _stand_ins(self, effects: tuple[str, ...]) -> dict[tuple[str, ...], float]:
+        """Sets as large as this one, by how probable they are among themselves; itself if there are none."""
+        alike = [model for model in self.models if len(model.effects) == len(effects)]
+        if not alike:
+            return {effects: 1.0}
+        weight = TEMPER * np.array([_weight(model) for model in alike])
+        parts = np.exp(weight - np.logaddexp.reduce(weight))
+        return {model.effects: float(part) for model, part in zip(alike, parts, strict=True)}
 
     @property
     def _left(self) -> float:
