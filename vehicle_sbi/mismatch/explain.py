@@ -303,7 +303,7 @@ class Explanation:
     @property
     def p_unknown(self) -> float:
         """That something is missing which no set of known effects explains."""
-        return float(sum(self.beside_unknown.values()))
+        return min(float(sum(self.beside_unknown.values())), 1.0)
 
     @property
     def p_value(self) -> float:
