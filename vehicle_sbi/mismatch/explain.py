@@ -7,7 +7,7 @@ and so does what the best set leaves over, by how often noise alone would leave 
 Laplace's evidence and a prior that is reluctant to add effects.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -325,8 +325,17 @@ class Explanation:
         return kept
 
 
-def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) -> Explanation:
-    """Search sets of effects from the base model on, among the directions that are known to act at its fit."""
+def explain(
+    base: Fit,
+    known: Sequence[Direction],
+    *,
+    rng: np.random.Generator,
+    tried: Callable[[str], None] = lambda name: None,
+) -> Explanation:
+    """Search sets of effects from the base model on, among the directions that are known to act at its fit.
+
+    `tried` is told the name of each set once it is fitted.
+    """
     none = Model((), base, 0.0)
     repertoire = Repertoire.around(base, known)
     first = examine(none, repertoire, rng)
@@ -338,6 +347,7 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
     for _ in range(MOST_EFFECTS):
         grown: dict[tuple[str, ...], Model] = {}
         for model in (model for examined in frontier for model in _grow(examined)):
+            tried(" + ".join(model.effects))
             known_already = grown.get(model.effects) or pool.get(model.effects)
             if known_already is None or _weight(model) > _weight(known_already):
                 grown[model.effects] = model
@@ -353,6 +363,7 @@ def explain(base: Fit, known: Sequence[Direction], *, rng: np.random.Generator) 
         promising |= {version.effect for examined in frontier for version in versions(examined)[:TRIED]}
     unnamed.sort(key=_weight, reverse=True)
     for model in _exchanged(best.model, repertoire.only(promising), rng):
+        tried(" + ".join(model.effects))
         pool.setdefault(model.effects, model)
     named = sorted((model for model in pool.values() if model.effects), key=_weight, reverse=True)
     if named and _weight(named[0]) > _weight(best.model):

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 import pandas as pd
 import yaml
+from tqdm import tqdm
 
 from vehicle_sbi.files import write_atomically, write_text
 from vehicle_sbi.mismatch.candidates import left_out
@@ -24,6 +25,12 @@ from vehicle_sbi.report.run_folder import RunFolder
 from vehicle_sbi.report.tables import html
 from vehicle_sbi.rng import Stream, generator
 
+STAGES = {
+    "fit": "fitting the base model",
+    "directions": "what could be missing",
+    "separability": "what could be seen",
+    "explanation": "what is missing",
+}
 SCREENED, STARTS = 32, 3  # points that are simulated, and of those the ones from which the base model is fitted
 Result = TypeVar("Result")
 
@@ -31,10 +38,11 @@ Result = TypeVar("Result")
 def diagnose(folder: RunFolder, case: Case, *, seed: int, figures: bool) -> None:
     """All stages, each kept on disk once it is done, then everything that is written for the user."""
     starts, draws = (generator(seed=seed, stream=Stream.STUDY, index=k) for k in (2, 3))  # a stage has its own
-    base, passed = _kept(folder, "fit", lambda: through(fitted(case, starts), starts))
-    known = _kept(folder, "directions", lambda: left_out(base.simulator, base.theta))
-    seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta, known))
-    found = _kept(folder, "explanation", lambda: explain(base, known, rng=draws))
+    with tqdm(total=len(STAGES), bar_format="{desc:<24}|{bar:20}| {elapsed}{postfix}", disable=None) as bar:
+        base, passed = _kept(folder, "fit", lambda: through(fitted(case, starts), starts), bar)
+        known = _kept(folder, "directions", lambda: left_out(base.simulator, base.theta), bar)
+        seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta, known), bar)
+        found = _kept(folder, "explanation", lambda: explain(base, known, rng=draws, tried=bar.set_postfix_str), bar)
     with folder.stage("report"):
         predictions, gained = compared(case, found)
         answer = verdict(case, passed, found, predictions, gained, seen)
@@ -67,13 +75,15 @@ def compared(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gai
     return predictions, gain(predictions["base"], predictions["extended"], rate)
 
 
-def _kept(folder: RunFolder, name: str, compute: Callable[[], Result]) -> Result:
+def _kept(folder: RunFolder, name: str, compute: Callable[[], Result], bar: tqdm) -> Result:
     """A stage's result, from its file where the stage is done."""
     path = folder.path / "stages" / f"{name}.pkl"
+    bar.set_description_str(STAGES[name])
     if not path.exists():
         with folder.stage(name):
             result = compute()
         write_atomically(path, lambda file: pickle.dump(result, file))
+    bar.update()
     return pickle.loads(path.read_bytes())
 
 
