@@ -138,7 +138,7 @@ def test_mirrored_steering_gives_the_mirrored_drive_exactly(
 ) -> None:
     u = paper_manoeuvre(size, seconds=2.0)
     u[:, 3:7] = smooth_inputs(2.0)[:400, 3:7]
-    mirrored = u * np.array([-1.0, 1, 1, 1, 1, 1, 1, 1])
+    mirrored = u * np.array([-1.0 if name == "steering" else 1.0 for name in INPUTS])
     left = finished(record_of(PAPER), drive, u, (10.5, 0.1, 0.05), model=model)
     right = finished(record_of(PAPER), drive, mirrored, (10.5, -0.1, -0.05), model=model)
     same, negated = [A_X, OMEGA_F, OMEGA_R, V_X, A_Z, PITCH_RATE], [A_Y, R, V_Y, ROLL_RATE]
