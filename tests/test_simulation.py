@@ -217,7 +217,7 @@ def test_input_noise_scales_steering_and_torques() -> None:
     acting = np.empty_like(u)
     derive(p)
     actuate(p, u, np.array([[0.25, -0.5]]), RATE, acting)
-    assert np.array_equal(acting, u * np.array([1.25, 0.5, 0.5, 1, 1, 1, 1, 1]))
+    assert np.array_equal(acting, u * np.array([1.25, 0.5, 0.5, *[1.0] * (len(INPUTS) - 3)]))
 
 
 # --- where it ends --------------------------------------------------------------------------------------------------
