@@ -30,7 +30,7 @@ def strip() -> None:
     from vehicle_sbi.physics.compiled import compiled as njit
     from vehicle_sbi.physics.tyre import dugoff
 
-    balance.body_load = njit(lambda p, v_x, t: (0.0, 0.0, 0.0))
+    balance.body_load = njit(lambda p, v_x, t, course: (0.0, 0.0, 0.0))
     balance.downforce = njit(lambda p, v_x: (0.0, 0.0))
     balance.friction_step = njit(lambda p, mu, t: mu)
     balance.road_grade = njit(lambda p, t: 0.0)
