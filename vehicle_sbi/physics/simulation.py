@@ -147,8 +147,9 @@ def simulate(
         for i in range(len(channels)):
             reported = y[i, w * time : (w + 1) * time]
             report(p, reading[channels[i]], groups[i], rate, reported)
-            for k in range(time):
-                reported[k] += latent_sensor(p, channels[i], u[w, k, U_LATENT])
+            if p.latent_sensor != 0.0:
+                for k in range(time):
+                    reported[k] += latent_sensor(p, channels[i], u[w, k, U_LATENT])
     return FINISHED
 
 
