@@ -10,7 +10,7 @@ from numba import njit
 from vehicle_sbi.physics.effects import RECORD, derive, nominal_record
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, MOTION
 from vehicle_sbi.physics.simulation import FINISHED, MODELS, batch_simulator, drive_through
-from vehicle_sbi.physics.single_track import DRIVES, INPUTS, TIME
+from vehicle_sbi.physics.single_track import DRIVES, INPUTS, TIME, U_LATENT
 from vehicle_sbi.physics.vehicle import Vehicle
 
 # The constants of the design's closed forms; rigid tyres without relaxation.
@@ -87,10 +87,18 @@ def smooth_inputs(seconds: float = 2.0) -> np.ndarray:
     return u
 
 
+def disturb(records: np.ndarray, u: np.ndarray, rng: np.random.Generator) -> None:
+    """Let a load that no effect stands for, up to a few kN and kN m, act on the body."""
+    for axis in ("x", "y", "z"):
+        records[f"latent_{axis}"] = rng.uniform(-2000.0, 2000.0)
+    u[U_LATENT] = rng.uniform(-1.0, 1.0)
+
+
 def rate_of(
     records: np.ndarray, drive: str, state: np.ndarray, u: np.ndarray, *, model: str = "single_track"
 ) -> np.ndarray:
     """d(state)/dt (states,) of the first record, the load-transfer loop started from no acceleration."""
+    assert u.shape == (len(INPUTS),)  # compiled code reads beyond the end of a shorter one
     p, out = records[0], np.zeros(MODELS[model].STATES)
     derive(p)
     MODELS[model].derivatives(p, DRIVES[drive], u, state, out)

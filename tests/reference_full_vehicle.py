@@ -107,7 +107,7 @@ def tyre_forces(
 
 def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     """d(state)/dt for v_x, v_y, r, roll, roll rate, pitch, pitch rate, four omega, kappa and alpha; u like INPUTS."""
-    now, (v_x, v_y, r) = at(c, u[7]), state[:3]
+    now, (v_x, v_y, r) = at(c, u[7], u[8]), state[:3]
     m_s, h_s, J = sprung_mass(c), sprung_height(c), (c["I_x"], c["I_y"])
     above, ahead, m_u = h_s - c["h_roll"], h_s - c["h_pitch"], mass(c) - m_s
     g = np.array([now.g_x, G * math.sin(c["road_bank_angle"])])

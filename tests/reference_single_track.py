@@ -32,6 +32,7 @@ class Moment(NamedTuple):
     g_x: float  # gravity along the body [m/s^2]
     mu: float
     gust: float  # [N]
+    course: float = 0.0  # of the load that no effect stands for
 
 
 class Forces(NamedTuple):
@@ -94,11 +95,11 @@ def gravity_along(c: Car, t: float) -> float:
     return G * math.sin(c["road_grade_angle"] + float(profile))
 
 
-def at(c: Car, t: float) -> Moment:
-    """The surroundings at time t [s]."""
+def at(c: Car, t: float, course: float = 0.0) -> Moment:
+    """The surroundings at time t [s], where a latent load's course has this value."""
     mu = c["mu"] * c["friction_level_factor"]
     mu += mu * (c["friction_step_factor"] - 1.0) * blows(c, "friction_step", t)
-    return Moment(gravity_along(c, t), mu, c["gust_force"] * blows(c, "gust", t))
+    return Moment(gravity_along(c, t), mu, c["gust_force"] * blows(c, "gust", t), course)
 
 
 def weight(c: Car) -> float:
@@ -123,10 +124,10 @@ def outer_forces(c: Car, now: Moment, v_x: float) -> tuple[float, float, float]:
     """Drag, rolling resistance, gravity along the body and wind [N], and moments of wind and whatever else [N m]."""
     x = -0.5 * RHO * c["aero_drag_area"] * v_x**2
     x -= c["rolling_resistance_coefficient"] * (weight(c) + downforce(c, v_x))
-    x -= mass(c) * now.g_x
+    x += c["latent_x"] * now.course - mass(c) * now.g_x
     y = c["crosswind_force"] + now.gust - mass(c) * G * math.sin(c["road_bank_angle"])
     turn = c["crosswind_force"] * c["crosswind_arm"] + now.gust * c["gust_arm"] + c["yaw_moment_moment"]
-    return x, y, turn
+    return x, y + c["latent_y"] * now.course, turn + c["latent_z"] * now.course
 
 
 # --- tyres ----------------------------------------------------------------------------------------------------------
@@ -236,7 +237,7 @@ def longitudinal_acceleration(c: Car, now: Moment, drive: str, state: np.ndarray
 
 def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     """d(state)/dt for states v_x, v_y, r, omega_f, omega_r, kappa_f, kappa_r, alpha_f, alpha_r; u in INPUTS' order."""
-    (v_x, v_y, r), now = state[:3], at(c, u[7])
+    (v_x, v_y, r), now = state[:3], at(c, u[7], u[8])
     a_x = longitudinal_acceleration(c, now, drive, state, u)
     delta = steered(c, now, drive, state, u[0], a_x)
     F, (_, y, turn) = tyre_forces(c, now, drive, state, delta, a_x), outer_forces(c, now, v_x)

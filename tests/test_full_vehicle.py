@@ -6,7 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference_full_vehicle as reference
-from cars import MILD, PAPER, RATE, coasting, finished, integrated, paper_manoeuvre, rate_of, record_of, smooth_inputs
+from cars import (
+    MILD,
+    PAPER,
+    RATE,
+    coasting,
+    disturb,
+    finished,
+    integrated,
+    paper_manoeuvre,
+    rate_of,
+    record_of,
+    smooth_inputs,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from reference_single_track import car_of
@@ -176,8 +188,10 @@ def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, n
     body = rng.uniform(-1.0, 1.0, 4) * [0.05, 0.3, 0.05, 0.3]
     slips, angles = rng.uniform(-0.3, 0.3, 4), rng.uniform(-0.2, 0.2, 4)
     state = np.array([v_x, *rng.uniform(-0.5, 0.5, 2), *body, *wheels, *slips, *angles])
-    given = np.array([rng.uniform(-0.3, 0.3), *rng.uniform(-2000, 2000, 2), v_x, rng.uniform(-3, 3), *wheels[:2], t])
-    return records, state, given
+    given = [rng.uniform(-0.3, 0.3), *rng.uniform(-2000, 2000, 2), v_x, rng.uniform(-3, 3), *wheels[:2], t, 0.0]
+    u = np.array(given)
+    disturb(records, u, rng)
+    return records, state, u
 
 
 @pytest.mark.parametrize("relaxed", [True, False])

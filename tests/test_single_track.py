@@ -16,6 +16,7 @@ from cars import (
     RIGID,
     STRONG,
     coasting,
+    disturb,
     finished,
     jacobian_of,
     paper_manoeuvre,
@@ -256,7 +257,8 @@ def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, n
     slips, angles = rng.uniform(-0.3, 0.3, 2), rng.uniform(-0.2, 0.2, 2)
     state = np.array([v_x, *rng.uniform(-0.5, 0.5, 2), *wheel, *slips, *angles])
     records["duration"], t = rng.uniform(3.0, 10.0), rng.uniform(0.0, 12.0)
-    u = np.array([rng.uniform(-0.3, 0.3), *rng.uniform(-2000, 2000, 2), v_x, rng.uniform(-3, 3), *wheel, t])
+    u = np.array([rng.uniform(-0.3, 0.3), *rng.uniform(-2000, 2000, 2), v_x, rng.uniform(-3, 3), *wheel, t, 0.0])
+    disturb(records, u, rng)
     return records, state, u
 
 

@@ -47,6 +47,8 @@ def diagnose(case: Path, script: Path, timeout_s: float) -> None:
     if process.is_alive():
         process.kill()
         process.join()
+        with (case / "diagnose.log").open("a") as log:
+            log.write(f"stopped after {timeout_s:g} s\n")
     write_text(case / "run.json", json.dumps({"seconds": time.monotonic() - begun, "status": process.exitcode}))
 
 

@@ -354,13 +354,18 @@ class Concealment:
         recordings = [recording("a", plan, one, self.setup.given, {}) for plan, one in pairs]
         return self.setup.given.simulator(recordings, self.setup.noise)
 
-    def change(self, effects: Effects) -> np.ndarray | None:
-        """What effects change of the residual of the base model (channels, time)."""
+    def recorded(self, effects: Effects) -> Simulator | None:
+        """The base model over what is recorded with effects; None where that has other windows, or none."""
         series = self.series(effects)
         if series is None:
             return None
         simulator = self.simulator(series)
-        if simulator.windows.y.shape != self.quiet.windows.y.shape:
+        return simulator if simulator.windows.y.shape == self.quiet.windows.y.shape else None
+
+    def change(self, effects: Effects) -> np.ndarray | None:
+        """What effects change of the residual of the base model (channels, time)."""
+        simulator = self.recorded(effects)
+        if simulator is None:
             return None
         changed = residual(simulator, self.theta, simulator.windows.y) - self.rest
         return changed if np.isfinite(changed).all() else None
@@ -372,11 +377,8 @@ class Concealment:
 
     def reach_fitted(self, one: Draft, strength: float) -> float | None:
         """The same once the base model is fitted to what the effect does, however far its parameters move."""
-        series = self.series({one.name: one.at(strength)})
-        if series is None:
-            return None
-        simulator = self.simulator(series)
-        if simulator.windows.y.shape != self.quiet.windows.y.shape:
+        simulator = self.recorded({one.name: one.at(strength)})
+        if simulator is None:
             return None
         fitted, left = self.fitted(simulator)
         return snr(fitted.left(left[None]))
