@@ -12,9 +12,9 @@ errors files parameters rng
 physics.compiled physics.vehicle physics.tyre physics.effects physics.sensors physics.balance
 physics.single_track physics.full_vehicle physics.simulation
 data.recording data.formats data.readers data.manoeuvre data.noise
-inference.prior inference.simulator inference.information inference.setup inference.embedding inference.features
-inference.estimator inference.training inference.proposal inference.rounds inference.predictive inference.study
-inference.calibration
+inference.prior inference.simulator inference.information inference.setup inference.embedding inference.emulator
+inference.features inference.estimator inference.training inference.proposal inference.rounds inference.predictive
+inference.study inference.calibration
 mismatch.candidates mismatch.separability mismatch.fit mismatch.gate mismatch.case mismatch.locate mismatch.laws
 mismatch.detect mismatch.latent mismatch.repertoire mismatch.explain mismatch.experiment mismatch.improve
 mismatch.verdict

@@ -17,6 +17,7 @@ from vehicle_sbi.inference.information import (
     correlation,
     fisher,
     joint_fisher,
+    laplace,
     sensitivity,
 )
 from vehicle_sbi.inference.simulator import Simulator
@@ -209,3 +210,23 @@ def test_parameters_that_do_the_same_are_named_as_confusable() -> None:
         expected = [(0, 1, pytest.approx(-s / (1 + s)))] if s / (1 + s) > CONFUSABLE else []
         assert confusable(F, prior_std) == expected
     assert confusable(np.full((2, 2), np.nan), np.ones(2)) == []
+
+
+def test_laplace_is_the_gaussian_about_the_fit_of_a_series_without_noise() -> None:
+    """Noise as a share of the signal; the covariance is the inverse of the information and the prior's."""
+    sim = simulator()
+    share = np.full(len(sim.windows.channels), 0.05)
+    sim = sim.with_noise(replace(sim.noise, share=share, floor=0.1 * sim.noise.floor))
+    found = laplace(sim, sim.noise_free(MIDDLE[None])[0], MIDDLE[None] + [[0.1, 0.1, -0.1]])
+    assert found is not None
+    mean, covariance = found
+    expected = np.linalg.inv(fisher(sim, MIDDLE) + np.diag(sim.space.prior_std**-2.0))
+    std = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose((mean - MIDDLE) / std, 0.0, atol=0.05)
+    np.testing.assert_allclose(covariance / np.outer(std, std), expected / np.outer(std, std), atol=0.02)
+
+
+def test_a_fit_that_explains_little_says_nothing_about_the_posterior() -> None:
+    sim = simulator()
+    y = sim.noise_free(MIDDLE[None])[0]
+    assert laplace(sim, y + 2.0 * sim.noise.std(y) * (-1.0) ** np.arange(y.shape[1]), MIDDLE[None]) is None

@@ -15,9 +15,11 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.inference.proposal import (
     EXCLUDED_MASS,
+    RADIUS,
     RESAMPLED_FROM,
     SUPPORT_SAMPLES,
     WIDENED,
+    Neighbourhood,
     Support,
     acceptance,
     box,
@@ -213,6 +215,16 @@ def test_a_support_of_one_parameter_is_an_interval() -> None:
     assert r.max() < most
     # Of n uniform draws none lies in the outer share s of the interval with probability (1 - s)^n, here 1e-6.
     assert r.max() > least * 1e-6 ** (1 / len(theta))
+
+
+def test_the_neighbourhood_of_a_fit_is_an_ellipse_that_is_proposed_from_uniformly() -> None:
+    covariance = 0.01**2 * np.array([[1.0, 0.9], [0.9, 2.0]])
+    around = Neighbourhood(np.array([1.25, 0.0]), covariance)
+    theta = truncated_prior(SPACE, [around], 5000, np.random.default_rng(9))
+    r = np.hypot(*np.linalg.solve(np.linalg.cholesky(covariance), (theta - around.mean).T))
+    np.testing.assert_allclose(r, around.distance(theta))
+    assert around.contains(theta).all()
+    assert kstest((r / RADIUS) ** 2, "uniform").pvalue > 1e-3
 
 
 def test_draws_follow_torchs_seed() -> None:

@@ -131,6 +131,45 @@ def test_the_first_round_comes_from_the_prior_and_the_second_from_where_the_firs
     assert (off < 5 * standard_error).all()
 
 
+def proportional(study: Problem) -> Problem:
+    """The same under noise that is a share of the signal, which a fit explains efficiently."""
+    noise = replace(study.simulator.noise, share=np.full(len(study.simulator.noise.floor), 0.05))
+    sim = study.simulator.with_noise(noise)
+    return replace(study, simulator=sim, observed=sim.noise_free(np.array([[1.2, 0.1, -0.1]]))[0])
+
+
+def test_rounds_begin_where_a_fit_leaves_the_parameters_unless_they_are_amortised() -> None:
+    study = proportional(problem())
+    (around,) = study.neighbourhood
+    none = Inference((), ())
+    truncated, amortised = (SCHEMES[name].plan(study, none).theta for name in ("truncated", "amortised"))
+    assert around.contains(truncated).all()
+    assert around.contains(np.array([[1.2, 0.1, -0.1]])).all()
+    assert not around.contains(amortised).all()
+
+
+@pytest.mark.parametrize("features", [Handcrafted(), Embedding()], ids=["handcrafted", "embedding"])
+def test_features_that_lose_information_do_not_begin_there(features: Features) -> None:
+    assert proportional(problem(features)).neighbourhood == ()
+    assert problem().neighbourhood == ()  # a score that ignores autocorrelation may lose some too
+
+
+def test_the_last_round_is_the_largest_and_the_longest(tmp_path: Path) -> None:
+    study = problem(training=Training(batch_size=20, steps=60, stop_after_epochs=100))
+    found = infer(study, Truncated(rounds=2, simulations=60, last=3, early=0.5), tmp_path, quiet=True)
+    assert [len(r.theta) for r in found.rounds] == [60, 180]
+    assert [len(r.states) for r in found.rounds] == [1, 1]
+    steps = [len(r.validation_loss[0]) * (int(0.9 * r.trained_on) // 20) for r in found.rounds]
+    assert 30 <= steps[0] < 30 + 2  # whole epochs
+    assert 60 <= steps[1] < 60 + 11
+
+
+def test_only_the_last_round_trains_an_ensemble(tmp_path: Path) -> None:
+    study = problem(training=replace(QUICK, members=2))
+    found = infer(study, Truncated(rounds=2, simulations=60), tmp_path, quiet=True)
+    assert [len(r.states) for r in found.rounds] == [1, 2]
+
+
 def test_members_of_an_ensemble_differ_and_are_mixed(tmp_path: Path) -> None:
     study = problem(training=replace(QUICK, members=2))
     found = infer(study, Truncated(rounds=1, simulations=60), tmp_path, quiet=True)

@@ -12,16 +12,17 @@ import numpy as np
 from jaxtyping import Float
 from torch import nn
 
+from vehicle_sbi.data.noise import MeasurementNoise
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.embedding import StridedCNN
+from vehicle_sbi.inference.emulator import Emulator
 from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.simulator import Simulator
 
 Series = Float[np.ndarray, "n channels time"]
+Theta = Float[np.ndarray, "pilots d"]
 Summary = Callable[[Series], np.ndarray]
 TINY = 1e-12
-BOUNDED = 4.0  # standard deviations to which sharply weighted residuals are drawn back
-REWEIGHTED = 3  # times a series' weights are taken from its own fit
 INFORMATIVE = 1e-4  # information, in units of the prior's, below which a direction of the score is left out
 
 
@@ -33,8 +34,12 @@ class Features(Protocol):
         """Whether the features move with the fiducial, so that stored simulations need theirs anew each round."""
         ...
 
-    def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], pilot: Series) -> Summary:
-        """The function from series to x."""
+    def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], theta: Theta, pilot: Series) -> Summary:
+        """The function from series to x, from parameters that are proposed and pilot simulations of them."""
+        ...
+
+    def efficient(self, noise: MeasurementNoise) -> bool:
+        """Whether they keep what a fit of the model under this noise uses, so that a fit may bound the proposals."""
         ...
 
     def network(self, channels: int, time: int) -> nn.Module | None:
@@ -74,11 +79,14 @@ class Handcrafted:
         lags = tuple(min(round(lag * rate), y.shape[-1] - 2) for lag in self.lags_s)
         return np.concatenate([mean, 2.0 * np.log(std + TINY), correlations(z, lags)], axis=1)
 
-    def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], pilot: Series) -> Summary:
+    def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], theta: Theta, pilot: Series) -> Summary:
         rate = simulator.windows.rate
         statistics = self.statistics(pilot, rate)
         mean, std = statistics.mean(axis=0), statistics.std(axis=0) + TINY
         return lambda y: (self.statistics(y, rate) - mean) / std
+
+    def efficient(self, noise: MeasurementNoise) -> bool:
+        return False
 
     def network(self, channels: int, time: int) -> nn.Module | None:
         return None
@@ -125,7 +133,7 @@ class Linearised:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Compression by the score of the likelihood at a fiducial point, to a few numbers per parameter that the data see.
+    """Compression by the score of the likelihood, to a few numbers per parameter that the data see.
 
     With J the sensitivities by parameters and nuisances a (in units of their spread and of the noise), r the residual
     against the noise-free simulation at the fiducial, and J'J = U diag(l) U', the features are the posterior mean of
@@ -133,89 +141,51 @@ class Score:
     (Alsing & Wandelt 2018, Generalized massive optimal data compression).
 
     Noise that is a share of the signal is smallest where the signal crosses zero, so much of the information lies
-    there, at moments that move with theta. Hence three weightings: by the variance of the noise averaged over pilot
-    simulations, which no crossing dominates; by its precision averaged over them, which is sharp at crossings; and by
-    the noise of each series' own fit, found by reweighting it (iteratively reweighted least squares). In the last two
-    residuals are bounded (`BOUNDED`), because a series that crosses elsewhere is off by hundreds there. Where noise
-    does not depend on the signal all are one. All take noise as independent: whitening a slow residual would hand the
-    decision to its fastest part, which a model explains worst. What autocorrelation costs in certainty is in the
-    simulations, so the network learns it.
+    there, at moments that move with a. A score at one point is then far from sufficient anywhere else, and process
+    noise alone takes simulations there. So each series is fitted under the noise of its own fit (`Emulator`), which is
+    where its score vanishes: as efficient as the Cramer-Rao bound allows wherever the parameters are proposed.
+
+    Both take noise as independent: whitening a slow residual would hand the decision to its fastest part, which a
+    model explains worst. What autocorrelation costs in certainty is in the simulations, so the network learns it.
     """
 
     recentred: bool = True
 
-    def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], pilot: Series) -> Summary:
+    def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], theta: Theta, pilot: Series) -> Summary:
         model = Linearised.about(simulator, fiducial)
-        std = simulator.noise.std(pilot).astype(float).reshape(len(pilot), -1)
-        robust, sharp = np.sqrt(np.mean(std**2, axis=0)), 1.0 / np.sqrt(np.mean(std**-2.0, axis=0))
-        seen = _seen(model.J / robust)
-        scores = [_weighted(model, robust, seen, bound=np.inf)]
-        if simulator.noise.share.any():
-            scores.append(_weighted(model, sharp, seen, bound=BOUNDED))
-            scores.append(_reweighted(model, simulator, robust, seen))
-        return lambda y: np.concatenate([score(y) for score in scores], axis=1)
+        variance = simulator.noise.std(pilot).astype(float).reshape(len(pilot), -1) ** 2
+        std = np.sqrt(variance.mean(axis=0))
+        directions = _directions(model.J / std)
+        rows = independent_rows(directions)
+        if not simulator.noise.share.any():
+            return _weighted(model, std, rows)
+        emulator = Emulator.of(simulator, model.origin, directions, theta, std)
+        return lambda y: emulator.fitted(y)[:, rows]
+
+    def efficient(self, noise: MeasurementNoise) -> bool:
+        return bool(noise.share.any()) and not noise.rho.any()
 
     def network(self, channels: int, time: int) -> nn.Module | None:
         return None
 
 
-def _seen(white: Float[np.ndarray, "p samples"]) -> np.ndarray:
-    """Indices of parameters and nuisances that span what the data see of all of them."""
+def _directions(white: Float[np.ndarray, "p samples"]) -> Float[np.ndarray, "p k"]:
+    """Orthonormal directions of parameters and nuisances that the data see."""
     values, vectors = np.linalg.eigh(white @ white.T)
     informative = values > INFORMATIVE
     if not informative.any():
         raise InputError("features=score: this recording tells nothing about any free parameter")
-    return independent_rows(vectors[:, informative])
+    return vectors[:, informative]
 
 
-def _bounded(residual: np.ndarray, bound: float) -> np.ndarray:
-    """Residuals in standard deviations, drawn back smoothly to `bound`."""
-    return bound * np.tanh(residual / bound) if np.isfinite(bound) else residual
-
-
-def _weighted(model: Linearised, std: Float[np.ndarray, " samples"], rows: np.ndarray, *, bound: float) -> Summary:
+def _weighted(model: Linearised, std: Float[np.ndarray, " samples"], rows: np.ndarray) -> Summary:
     """What explains series about the model's point under noise of `std`, (n, rows)."""
     white = model.J / std
     values, vectors = np.linalg.eigh(white @ white.T)
     informative = values > INFORMATIVE
     mean = vectors[:, informative] / (values[informative] + 1.0) @ vectors[:, informative].T
     projection, scale = (mean[rows] @ white).astype(np.float32), std.astype(np.float32)
-    return lambda y: model.origin[rows] + _bounded(model.residual(y) / scale, bound) @ projection.T
-
-
-def _reweighted(
-    model: Linearised, simulator: Simulator, std: Float[np.ndarray, " samples"], rows: np.ndarray
-) -> Summary:
-    """As `_weighted`, then `REWEIGHTED` times with the noise that the series' own linear fit implies, (n, rows)."""
-    p = len(model.J)
-    upper = np.triu_indices(p)
-    products = (model.J[upper[0]] * model.J[upper[1]]).astype(np.float32)
-    J = model.J.astype(np.float32)
-
-    def step(weight: np.ndarray, residual: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """The Gauss-Newton step from a (n, p) under a standard normal prior about the model's point."""
-        information = np.empty((len(a), p, p))
-        information[:, upper[0], upper[1]] = information[:, upper[1], upper[0]] = weight @ products.T
-        score = (weight * residual) @ J.T - a
-        return np.linalg.solve(information + np.eye(p), score[..., None])[..., 0]
-
-    def fitted(y: Series) -> Float[np.ndarray, "n rows"]:
-        residual = model.residual(y)
-        a = step(np.broadcast_to((std**-2.0).astype(np.float32), residual.shape), residual, np.zeros((len(y), p)))
-        for _ in range(REWEIGHTED):
-            change = (a @ model.J).astype(np.float32)
-            own = simulator.noise.std((model.y + change).reshape(len(y), *simulator.shape)).reshape(change.shape)
-            own = own.astype(np.float32)
-            a = a + step(own**-2.0, own * _bounded((residual - change) / own, BOUNDED), a)
-        return model.origin[rows] + a[:, rows]
-
-    def estimate(y: Series) -> Float[np.ndarray, "n rows"]:
-        finite = np.isfinite(y).all(axis=(1, 2))
-        found = np.full((len(y), len(rows)), np.nan)
-        found[finite] = fitted(y[finite])
-        return found
-
-    return estimate
+    return lambda y: model.origin[rows] + model.residual(y) / scale @ projection.T
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,7 +200,7 @@ class Embedding:
     outputs: int = 20
     recentred: bool = False
 
-    def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], pilot: Series) -> Summary:
+    def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], theta: Theta, pilot: Series) -> Summary:
         if not 1 <= self.decimate <= pilot.shape[-1] // 64:
             raise InputError(
                 f"features.decimate = {self.decimate}; it must leave at least 64 of {pilot.shape[-1]} samples"
@@ -244,6 +214,9 @@ class Embedding:
             return z.reshape(*z.shape[:-1], kept // self.decimate, self.decimate).mean(axis=-1)
 
         return standardise
+
+    def efficient(self, noise: MeasurementNoise) -> bool:
+        return False
 
     def network(self, channels: int, time: int) -> nn.Module | None:
         return StridedCNN(channels=channels, outputs=self.outputs)

@@ -11,6 +11,7 @@ initial state). With J the whitened sensitivities of y,
 covariance that depends on theta, sec. 10.8 for the random nuisances).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,8 @@ from vehicle_sbi.inference.simulator import Simulator
 STEP = 1e-3  # of the prior's width or of a nuisance's standard deviation, for central differences
 MOST_STEPS = 30  # of a fit
 FAILED = 1e3  # standard deviations that a failed simulation counts as being off
+REWEIGHTED = 4  # fits, each by the noise that the last one implies
+EXPLAINED = 1.5  # mean square of what a fit leaves over, in units of the noise, up to which it explains a recording
 NO_INFORMATION = 1e-6  # information per prior variance below which a direction counts as not seen at all
 
 
@@ -110,9 +113,27 @@ def best_fit(
     Weights take noise as independent, for the reason that the score's do. Nuisances are fitted too, held by their
     spread; theta is scaled to the box. Raises InputError if no start simulates.
     """
+    none = np.zeros(len(simulator.nuisances))
+    std = _observed_std(simulator, observed)
+    theta, eta = _least_squares(simulator, observed, std, [(start, none) for start in starts])
+    return theta, observed - simulator.noise_free(theta[None], eta[None])[0]
+
+
+def _observed_std(
+    simulator: Simulator, observed: Float[np.ndarray, "channels time"]
+) -> Float[np.ndarray, "channels time"]:
+    return simulator.noise.std(np.where(simulator.windows.valid, observed, 0.0))
+
+
+def _least_squares(
+    simulator: Simulator,
+    observed: Float[np.ndarray, "channels time"],
+    std: Float[np.ndarray, "channels time"],
+    starts: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, " e"]]:
+    """(theta, nuisances) of the best fit from any start under noise of `std`."""
     space, valid, d = simulator.space, simulator.windows.valid, len(simulator.space)
     width, e = space.high - space.low, len(simulator.nuisances)
-    std = simulator.noise.std(np.where(valid, observed, 0.0))
 
     def residual(z: np.ndarray) -> np.ndarray:
         y = simulator.noise_free((space.low + z[:d] * width)[None], z[None, d:])[0]
@@ -126,14 +147,36 @@ def best_fit(
         return np.concatenate([-scaled.T, np.eye(d + e)[d:]])
 
     bounds = (np.concatenate([np.zeros(d), np.full(e, -np.inf)]), np.concatenate([np.ones(d), np.full(e, np.inf)]))
-    begin = [np.concatenate([np.clip((s - space.low) / width, 1e-3, 1 - 1e-3), np.zeros(e)]) for s in starts]
+    begin = [np.concatenate([np.clip((s - space.low) / width, 1e-3, 1 - 1e-3), eta]) for s, eta in starts]
     fits = [
         least_squares(residual, z, jac=jacobian, bounds=bounds, max_nfev=MOST_STEPS, ftol=1e-5)  # pyright: ignore[reportArgumentType]
         for z in begin
     ]
     best = min(fits, key=lambda fit: fit.cost).x
-    theta = space.low + best[:d] * width
-    y = simulator.noise_free(theta[None], best[None, d:])[0]
-    if not np.isfinite(y).all():
+    theta, eta = space.low + best[:d] * width, best[d:]
+    if not np.isfinite(simulator.noise_free(theta[None], eta[None])).all():
         raise InputError("the simulation fails wherever a fit was tried; narrow the prior")
-    return theta, observed - y
+    return theta, eta
+
+
+def laplace(
+    simulator: Simulator, observed: Float[np.ndarray, "channels time"], starts: Float[np.ndarray, "n d"]
+) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, "d d"]] | None:
+    """Mean and covariance of theta in Laplace's approximation to its posterior, the box taken for a Gaussian.
+
+    None where the model does not explain what was observed, so that its fit says little. Each fit is weighted by the
+    noise that the one before implies; weights by what was observed would favour low values. (MacKay, Information
+    Theory, Inference, and Learning Algorithms, ch. 27.)
+    """
+    noise, valid, space, d = simulator.noise, simulator.windows.valid, simulator.space, len(simulator.space)
+    none = np.zeros(len(simulator.nuisances))
+    fit = _least_squares(simulator, observed, _observed_std(simulator, observed), [(start, none) for start in starts])
+    for _ in range(REWEIGHTED):
+        theta, eta = fit
+        fit = _least_squares(simulator, observed, noise.std(simulator.noise_free(theta[None], eta[None])[0]), [fit])
+    theta, eta = fit
+    at = sensitivity(simulator, theta, eta)
+    if np.mean(((observed - at.y) / noise.std(at.y))[valid] ** 2) > EXPLAINED:
+        return None
+    prior = np.diag(np.concatenate([space.prior_std**-2.0, np.ones(len(eta))]))
+    return theta, np.linalg.inv(joint_fisher(simulator, at) + prior)[:d, :d]

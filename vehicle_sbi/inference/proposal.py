@@ -20,6 +20,7 @@ from vehicle_sbi.parameters import ParameterSpace
 SUPPORT_SAMPLES = 10_000  # draws that estimate where a posterior has mass
 EXCLUDED_MASS = 1e-3  # share of a posterior's mass that truncation cuts off
 WIDENED = 1.4  # times as wide as that is what truncation keeps
+RADIUS = 8.0  # standard deviations about a fit beyond which no posterior is expected
 WALKERS, WARM_UP, THINNING = 1000, 60, 20  # of the ensemble, whose autocorrelation time is about 25 steps
 MOST_REJECTIONS = 50  # batches of draws before resampling takes over
 RESAMPLED_FROM = 200_000  # uniform draws of the prior
@@ -98,8 +99,45 @@ class Support:
     def contains(self, theta: Float[np.ndarray, "n d"]) -> np.ndarray:
         return log_density(self.posterior, theta) > self.threshold
 
+    def draws(self, space: ParameterSpace, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Points inside the prior and their log density."""
+        theta = draw(self.posterior, space, SUPPORT_SAMPLES)
+        return theta, log_density(self.posterior, theta)
 
-def inside(supports: Sequence[Support], theta: Float[np.ndarray, "n d"]) -> np.ndarray:
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """Where a Gaussian approximation of the posterior has mass, and a wide margin: within RADIUS of its spread.
+
+    A Gaussian in six dimensions has all but EXCLUDED_MASS within 4.7.
+    """
+
+    mean: Float[np.ndarray, " d"]
+    covariance: Float[np.ndarray, "d d"]
+
+    def distance(self, theta: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
+        """From the mean, in standard deviations (Mahalanobis)."""
+        return np.linalg.norm(np.linalg.solve(np.linalg.cholesky(self.covariance), (theta - self.mean).T), axis=0)
+
+    def contains(self, theta: Float[np.ndarray, "n d"]) -> np.ndarray:
+        return self.distance(theta) < RADIUS
+
+    def draws(self, space: ParameterSpace, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Points inside the prior and their log density: a Gaussian as wide as the neighbourhood."""
+        widened = RADIUS / np.sqrt(len(space))
+        factor, found = widened * np.linalg.cholesky(self.covariance), np.empty((0, len(space)))
+        for _ in range(MOST_REJECTIONS):
+            theta = self.mean + rng.standard_normal((SUPPORT_SAMPLES, len(space))) @ factor.T
+            found = np.concatenate([found, theta[_within(space, theta)]])[:SUPPORT_SAMPLES]
+            if len(found) == SUPPORT_SAMPLES:
+                break
+        return found, -0.5 * (self.distance(found) / widened) ** 2
+
+
+Region = Support | Neighbourhood
+
+
+def inside(supports: Sequence[Region], theta: Float[np.ndarray, "n d"]) -> np.ndarray:
     """Which rows lie in every support."""
     kept = np.ones(len(theta), dtype=bool)
     for support in supports[::-1]:
@@ -109,7 +147,7 @@ def inside(supports: Sequence[Support], theta: Float[np.ndarray, "n d"]) -> np.n
 
 
 def truncated_prior(
-    space: ParameterSpace, supports: Sequence[Support], n: int, rng: np.random.Generator
+    space: ParameterSpace, supports: Sequence[Region], n: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "n d"]:
     """n draws, uniform over the part of the prior that lies in every support.
 
@@ -141,16 +179,16 @@ def truncated_prior(
     return (space.low + sampler.get_chain(discard=WARM_UP, thin=THINNING, flat=True) * width)[:n]
 
 
-def _spread(space: ParameterSpace, supports: Sequence[Support], rng: np.random.Generator) -> np.ndarray:
+def _spread(space: ParameterSpace, supports: Sequence[Region], rng: np.random.Generator) -> np.ndarray:
     """Walkers at draws of the last posterior that lie in every support, weighted against its density."""
-    draws = draw(supports[-1].posterior, space, SUPPORT_SAMPLES)
-    draws = draws[inside(supports, draws)]
+    draws, density = supports[-1].draws(space, rng)
+    kept = inside(supports, draws)
+    draws, density = draws[kept], density[kept]
     if len(draws) < WALKERS:
         raise InputError(
             f"only {len(draws)} of {SUPPORT_SAMPLES} draws lie in the supports of all rounds: they contradict each "
             "other; use more simulations a round"
         )
-    density = log_density(supports[-1].posterior, draws)
     weight = np.exp(density.min() - density)
     return draws[rng.choice(len(draws), WALKERS, replace=False, p=weight / weight.sum())]
 

@@ -28,7 +28,8 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_atomically
 from vehicle_sbi.inference.estimator import Builder, DensityEstimator, behind
 from vehicle_sbi.inference.features import Features, Summary
-from vehicle_sbi.inference.proposal import Support, acceptance, box, draw, inside, truncated_prior
+from vehicle_sbi.inference.information import laplace
+from vehicle_sbi.inference.proposal import Neighbourhood, Support, acceptance, box, draw, inside, truncated_prior
 from vehicle_sbi.inference.simulator import Simulator, succeeded
 from vehicle_sbi.inference.training import EpochSeen, Fit, Simulations, Training, fit
 from vehicle_sbi.rng import Stream, generator, seed_torch
@@ -36,6 +37,7 @@ from vehicle_sbi.rng import Stream, generator, seed_torch
 CHUNK = 500  # simulations whose series are in memory at once
 PILOT = 1000  # simulations that normalise the features, as in the paper
 FIDUCIAL_DRAWS = 5_000
+FIT_STARTS = 4  # of the fit that the first round proposes about
 LEAST_ACCEPTANCE = 1e-3
 LEAST_SIMULATIONS = 50
 QUANTILE_ROWS = 2_000  # simulations that tell a feature's range
@@ -55,6 +57,17 @@ class Problem:
     def prior(self) -> BoxUniform:
         """One object for all rounds: sbi tells rounds apart by the prior's identity."""
         return box(self.simulator.space)
+
+    @cached_property
+    def neighbourhood(self) -> tuple[Neighbourhood, ...]:
+        """Where a fit leaves the parameters: a single region, or none where the features say less than the fit uses."""
+        simulator, space = self.simulator, self.simulator.space
+        if not self.features.efficient(simulator.noise):
+            return ()
+        rng = generator(seed=simulator.seed, stream=Stream.STUDY, index=3)
+        drawn = rng.uniform(space.low, space.high, (FIT_STARTS - 1, len(space)))
+        found = laplace(simulator, self.observed, np.concatenate([(space.low + space.high)[None] / 2, drawn]))
+        return () if found is None else (Neighbourhood(*found),)
 
     def builder(self) -> Builder:
         """A builder with a fresh embedding network."""
@@ -178,26 +191,41 @@ class Corrected:
 class Truncated:
     """TSNPE: the prior cut down to the support of every posterior so far proposes; the plain likelihood is the loss.
 
-    A network is trained afresh on all simulations that lie in the truncated prior, z-scored to it.
+    Where a fit leaves the parameters (`Problem.neighbourhood`) the first round begins already. A network is trained
+    afresh on all simulations that lie in the truncated prior, z-scored to it. Rounds before the last only have to find
+    the support: they take `early` of the training's steps and no ensemble; the last has `last` times their simulations.
     """
 
     rounds: int = 5
     simulations: int = 5000
+    last: int = 1
+    early: float = 0.4
     fresh: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check_counts("truncated", self.rounds, self.simulations)
+        if self.last < 1 or not 0 < self.early <= 1:
+            raise InputError(
+                f"rounds=truncated: last = {self.last} must be at least 1, early = {self.early:g} above 0 and at most 1"
+            )
 
     def plan(self, problem: Problem, before: Inference) -> Plan:
-        k = len(before.rounds)
-        supports = [Support.of(posterior, problem.simulator.space) for posterior in before.posteriors]
-        theta = truncated_prior(problem.simulator.space, supports, self.simulations, problem.rng(round=k))
+        return self._truncated(problem, before, problem.neighbourhood)
+
+    def _truncated(self, problem: Problem, before: Inference, known: Sequence[Neighbourhood]) -> Plan:
+        k, space = len(before.rounds), problem.simulator.space
+        supports = [*known, *(Support.of(posterior, space) for posterior in before.posteriors)]
+        simulations = self.simulations * (self.last if k == self.rounds - 1 else 1)
+        theta = truncated_prior(space, supports, simulations, problem.rng(round=k))
         earlier = [np.flatnonzero(inside(supports, r.theta.numpy())) for r in before.rounds]
         return Plan(theta, [*earlier, np.arange(len(theta))])
 
     def train(self, problem: Problem, data: Sequence[Simulations], before: Inference, *, member: int, seen) -> Fit:
         everything = Simulations(torch.cat([d.theta for d in data]), torch.cat([d.x for d in data]))
-        return problem.fit(problem.builder(), [everything], round=len(before.rounds), member=member, seen=seen)
+        k = len(before.rounds)
+        if k < self.rounds - 1:
+            problem = replace(problem, training=problem.training.shortened(self.early))
+        return problem.fit(problem.builder(), [everything], round=k, member=member, seen=seen)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,6 +239,9 @@ class Amortised(Truncated):
         _check_counts("amortised", self.rounds, self.simulations)
         if self.rounds != 1:
             raise InputError(f"rounds=amortised: rounds.rounds = {self.rounds}; an amortised posterior has one round")
+
+    def plan(self, problem: Problem, before: Inference) -> Plan:
+        return self._truncated(problem, before, ())
 
 
 def _continued(build: Builder, state: dict[str, Tensor]) -> Builder:
@@ -307,7 +338,8 @@ def one_round(problem: Problem, scheme: Scheme, before: Inference, *, quiet: boo
             bar.set_postfix(validation_loss=f"{loss:.3f}", refresh=False)
             bar.update()
 
-        fits = [scheme.train(problem, data, before, member=m, seen=seen) for m in range(problem.training.members)]
+        members = 1 if scheme.fresh and k < scheme.rounds - 1 else problem.training.members
+        fits = [scheme.train(problem, data, before, member=m, seen=seen) for m in range(members)]
     x_o = torch.as_tensor(np.asarray(summary(problem.observed[None]), dtype=np.float32))
     finished = Round(
         theta=torch.as_tensor(plan.theta),
@@ -343,4 +375,4 @@ def fit_features(problem: Problem, theta: Sequence[np.ndarray], round: int, fidu
     good = succeeded(outcomes)
     if not good.any():
         raise InputError("every pilot simulation fails; the prior lies where the vehicle spins out")
-    return problem.features.fit(problem.simulator, fiducial, pilot[good])
+    return problem.features.fit(problem.simulator, fiducial, theta[round][rows][good], pilot[good])

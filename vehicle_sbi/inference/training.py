@@ -4,7 +4,7 @@ The subclass replaces private methods of sbi 0.27, to which the project's depend
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import torch
@@ -137,6 +137,10 @@ class Training:
             raise InputError(
                 f"training.validation_fraction = {self.validation_fraction:g}; it must lie between 0 and 1"
             )
+
+    def shortened(self, share: float) -> "Training":
+        """The same with a share of the steps."""
+        return replace(self, steps=max(1, round(share * self.steps)))
 
     def epochs(self, simulations: int) -> int:
         """Passes over the training part of that many simulations that make up `steps`, at least 2."""
