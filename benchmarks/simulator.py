@@ -68,9 +68,11 @@ def strip() -> None:
 
 def inputs() -> np.ndarray:
     """The paper's manoeuvre: a sine on the steering, a square wave of torque; shape (1, time, 9)."""
+    from vehicle_sbi.physics.single_track import INPUTS
+
     t = np.arange(SAMPLES) / RATE
     driving = (t % 5.0) < 2.5
-    u = np.zeros((1, SAMPLES, 8))
+    u = np.zeros((1, SAMPLES, len(INPUTS)))
     u[0, :, 0] = 0.06 * np.sin(2 * np.pi * t / 4.0)
     u[0, :, 1] = np.where(driving, 600.0, -540.0)
     u[0, :, 2] = np.where(driving, 0.0, -360.0)
@@ -110,6 +112,7 @@ def contend(name: str, turns: Connection) -> None:
             p, start = records(rng), time.perf_counter()
             batch_simulator(CONTENDERS[name])(p, 0, inputs(), *noise, *fixed)
             turns.send(time.perf_counter() - start)
+            assert not outcomes.any()  # every simulation is finished
         turns.send(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 

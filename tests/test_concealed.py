@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from concealed import cases, drives, injected, outside, scores
+from concealed import cases, concealment, drives, injected, outside, scores, setups
+from concealed.mix import slot
 from concealed.strength import Given, Noise, Projection, fit, residual, snr
 from concealed.twin import Twin
 from concealed.worlds import OwnModel
@@ -38,9 +39,9 @@ def plan(**steering: float) -> drives.Plan:
     return drives.Plan(t=t, steering=delta, acceleration=np.zeros_like(t), v_0=20.0, manoeuvre="test")
 
 
-def setup() -> cases.Setup:
+def setup() -> setups.Setup:
     world = OwnModel(car=CAR, model="single_track", drive_mode="speed", gain=1.0)
-    return cases.Setup(
+    return setups.Setup(
         world=world, given=GIVEN, theta=THETA, train=(plan(amplitude=0.02),), heldout=(), noise=NOISE,
         regime="gentle", truth=CAR, world_name="test",
     )  # fmt: skip
@@ -50,7 +51,7 @@ def setup() -> cases.Setup:
 
 
 def test_a_block_has_the_stated_mix_and_deals_every_effect_equally_often() -> None:
-    slots = [cases.slot(5, i, list(injected.INJECTED)) for i in range(40 * 13)]
+    slots = [slot(5, i, list(injected.INJECTED)) for i in range(40 * 13)]
     kinds = pd.Series([one.kind for one in slots[:40]]).value_counts()
     assert dict(kinds) == {"single": 16, "none": 12, "outside": 6, "pair": 6}
     alone = [one.effects[0] for one in slots if one.kind == "single" and one.level != "L2"]
@@ -62,7 +63,7 @@ def test_a_block_has_the_stated_mix_and_deals_every_effect_equally_often() -> No
 
 
 def test_a_case_is_a_function_of_seed_and_index_and_its_truth_lies_elsewhere(tmp_path: Path) -> None:
-    index = next(i for i in range(80) if (one := cases.slot(1, i, [])).level == "L0" and one.kind == "none")
+    index = next(i for i in range(80) if (one := slot(1, i, [])).level == "L0" and one.kind == "none")
     for folder in (tmp_path / "one", tmp_path / "two"):
         cases.build(1, index, folder, injected.build, [])
     name = f"{index:04d}"
@@ -85,10 +86,10 @@ def test_the_sealed_ratio_is_what_projection_on_all_sensitivities_gives() -> Non
 
     The initial states' differences have steps of 1e-3 in both, and the same formula.
     """
-    hidden = cases.Concealment(setup(), 1.0)
-    draft = cases.Draft(name="gyro_scale", scaled={"z": (1.0, 1.2)}, shape={})
-    strength, reached = cases.settle(lambda at: hidden.reach(draft, at), 8.0)
-    assert reached == pytest.approx(8.0, rel=cases.CLOSE)
+    hidden = concealment.Concealment(setup(), 1.0)
+    draft = concealment.Draft(name="gyro_scale", scaled={"z": (1.0, 1.2)}, shape={})
+    strength, reached = concealment.settle(lambda at: hidden.reach(draft, at), 8.0)
+    assert reached == pytest.approx(8.0, rel=concealment.CLOSE)
     changed = hidden.change({"gyro_scale": draft.at(strength)})
     assert changed is not None
     simulator, noise = hidden.quiet, hidden.quiet.noise
@@ -110,7 +111,7 @@ def test_the_joint_fit_ends_where_best_fit_does() -> None:
     series = world.drive(drive, {})
     assert series is not None
     added = {name: noise.draw(name, len(drive.t), rng) for name in noise.std}
-    simulator = GIVEN.simulator([cases.recording("a", drive, series, GIVEN, added)], noise)
+    simulator = GIVEN.simulator([setups.recording("a", drive, series, GIVEN, added)], noise)
     middle = (simulator.space.low + simulator.space.high) / 2
     ours = fit(simulator, simulator.windows.y, middle)
     theirs, _ = best_fit(simulator, np.nan_to_num(simulator.windows.y), middle[None])
@@ -123,7 +124,7 @@ def test_the_joint_fit_ends_where_best_fit_does() -> None:
 
 
 def test_without_effects_the_own_model_is_the_base_model() -> None:
-    hidden = cases.Concealment(setup(), 1.0)
+    hidden = concealment.Concealment(setup(), 1.0)
     assert hidden.ok
     assert snr(hidden.projection.left(residual(hidden.quiet, THETA, hidden.quiet.windows.y)[None])) < 1.0
 

@@ -15,7 +15,10 @@ import numpy as np
 import yaml
 
 from concealed.actuators_and_sensors import changed, later
-from concealed.cases import CLOSE, DETECTABLE, SNRS, Slot, settle, write_case, write_sealed
+from concealed.case_files import write_case, write_sealed
+from concealed.cases import DETECTABLE
+from concealed.concealment import CLOSE, settle
+from concealed.mix import SNRS, Slot
 from concealed.strength import Given, Projection, fit, residual, snr
 from vehicle_sbi.data.noise import EstimatedNoise, from_residual
 from vehicle_sbi.data.readers import RecordingFile
