@@ -49,22 +49,24 @@ WALKERS, STEPS, WARM_UP, THIN = 64, 3000, 1000, 5
 COMPARED = 2000
 SEED = 100  # of the drawn truth; the scored benchmark has others
 
-CASES: dict[str, tuple[DensityEstimator, Features, Scheme]] = {
-    "nsf, score, truncated": (NeuralSplineFlow(), Score(), Truncated()),
-    "mdn, score, truncated": (MixtureDensityNetwork(), Score(), Truncated()),
-    "zuko_maf, score, truncated": (MaskedAutoregressiveFlow(model="zuko_maf"), Score(), Truncated()),
-    "nsf, score, corrected": (NeuralSplineFlow(), Score(), Corrected()),
-    "nsf, handcrafted, truncated": (NeuralSplineFlow(), Handcrafted(), Truncated()),
-    "nsf, score, amortised": (NeuralSplineFlow(), Score(), Amortised()),
-    "mdn, score, corrected": (MixtureDensityNetwork(), Score(), Corrected()),
-    "mdn, embedding, truncated": (MixtureDensityNetwork(), Embedding(), Truncated()),
-}
-
 
 def conf(path: str) -> dict:
     """A configuration file's keys, without what Hydra builds from them."""
     content = yaml.safe_load((ROOT / "conf" / f"{path}.yaml").read_text())
     return {key: value for key, value in content.items() if key != "_target_"}
+
+
+TRUNCATED = Truncated(**conf("rounds/truncated"))
+CASES: dict[str, tuple[DensityEstimator, Features, Scheme]] = {
+    "nsf, score, truncated": (NeuralSplineFlow(), Score(), TRUNCATED),
+    "mdn, score, truncated": (MixtureDensityNetwork(), Score(), TRUNCATED),
+    "zuko_maf, score, truncated": (MaskedAutoregressiveFlow(model="zuko_maf"), Score(), TRUNCATED),
+    "nsf, score, corrected": (NeuralSplineFlow(), Score(), Corrected()),
+    "nsf, handcrafted, truncated": (NeuralSplineFlow(), Handcrafted(), TRUNCATED),
+    "nsf, score, amortised": (NeuralSplineFlow(), Score(), Amortised()),
+    "mdn, score, corrected": (MixtureDensityNetwork(), Score(), Corrected()),
+    "mdn, embedding, truncated": (MixtureDensityNetwork(), Embedding(), TRUNCATED),
+}
 
 
 def problem(manoeuvre: str) -> tuple[Problem, np.ndarray]:
