@@ -1,6 +1,7 @@
 """What the network sees: statistics that are what they say, and a score that loses no information."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -126,8 +127,8 @@ def scored(sim: Simulator, fiducial: np.ndarray) -> tuple[np.ndarray, np.ndarray
 @pytest.mark.parametrize("nuisances", [False, True])
 def test_the_score_holds_the_fisher_information(factor: float, nuisances: bool) -> None:
     """Of t ~ N(D theta, P P'): D'(P P')^-1 D is that of the series, to 1 %, however precise the sensors are."""
-    process = {"process": paper_process()} if nuisances else {}
-    sim = simulator(known_start=not nuisances, **process)  # type: ignore[arg-type]
+    process: dict[str, Any] = {"process": paper_process()} if nuisances else {}
+    sim = simulator(known_start=not nuisances, **process)
     sim = sim.with_noise(constant_noise(sim.windows, factor=factor))
     _, P, D = scored(sim, MIDDLE)
     covariance = P.T @ P  # float32 features: scaled before the inverse

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -18,9 +19,9 @@ CONFIG = {"seed": 3, "prior": {"l_f": [1.0, 1.5]}, "estimator": {"_target_": "ve
 INPUTS = {"drive.csv": "a" * 64}
 
 
-def opened(path: Path, **changes: object) -> RunFolder:
-    given = {"config": CONFIG, "overrides": ["seed=3"], "inputs": INPUTS, **changes}
-    return RunFolder.open(path, **given)  # type: ignore[arg-type]
+def opened(path: Path, **changes: Any) -> RunFolder:
+    given: dict[str, Any] = {"config": CONFIG, "overrides": ["seed=3"], "inputs": INPUTS, **changes}
+    return RunFolder.open(path, **given)
 
 
 def manifest(path: Path) -> dict:

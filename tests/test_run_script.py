@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,7 @@ INHERITED = {key: value for key, value in os.environ.items() if key != "HYDRA_FU
 ENVIRONMENT = INHERITED | {"NUMBA_NUM_THREADS": "1"}
 
 
-def started(arguments: Sequence[str], **settings: object) -> subprocess.Popen[str]:
+def started(arguments: Sequence[str], **settings: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "scripts/run.py", *arguments],
         cwd=ROOT,
@@ -28,11 +29,11 @@ def started(arguments: Sequence[str], **settings: object) -> subprocess.Popen[st
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        **settings,  # type: ignore[arg-type]
+        **settings,
     )
 
 
-def run(*arguments: str, **settings: object) -> tuple[int, str, str]:
+def run(*arguments: str, **settings: Any) -> tuple[int, str, str]:
     process = started(arguments, **settings)
     out, err = process.communicate(timeout=240)
     return process.returncode, out, err
