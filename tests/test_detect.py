@@ -44,10 +44,11 @@ def test_the_size_of_a_bias_comes_out_as_it_went_in() -> None:
     assert s.p_value() == pytest.approx(1 / 201)
 
 
-def test_p_values_are_uniform_where_nothing_is_missing() -> None:
+@pytest.mark.parametrize(("rho", "seconds"), [(0.0, 5.0), (0.9, 10.0)])
+def test_p_values_are_uniform_where_nothing_is_missing(rho: float, seconds: float) -> None:
     # 60 recordings; noise and parameters are fitted to each. A Kolmogorov-Smirnov test at 0.1 % keeps chance out, of
     # the largest score alone, and beside four stretches of a_y together.
-    sim, found = lateral(seconds=5.0), []
+    sim, found = lateral(rho=rho, seconds=seconds), []
     p, together = [], []
     for seed in range(60):
         fit = fitted(recorded(sim, seed=seed))

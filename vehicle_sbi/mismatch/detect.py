@@ -256,8 +256,8 @@ def _kinds(rho: np.ndarray) -> np.ndarray:
 
 
 def _ar1(
-    left: Float[np.ndarray, "3 channels k"], count: Float[np.ndarray, "channels 1"], largest: float
-) -> tuple[Float[np.ndarray, "channels k"], Float[np.ndarray, "channels k"]]:
+    left: Float[np.ndarray, "3 channels ..."], count: Float[np.ndarray, "channels ..."], largest: float
+) -> tuple[Float[np.ndarray, "channels ..."], Float[np.ndarray, "channels ..."]]:
     """Correlation and innovation variance from the three kinds of products of a residual."""
     rho = np.clip(left[2] / np.maximum(left[1], LEAST_VARIANCE), 0.0, largest)
     return rho, np.maximum(np.sum(_kinds(rho) * left, axis=0) / count, LEAST_VARIANCE)
@@ -305,17 +305,36 @@ def _null(
     G = about.absorbed(np.nan_to_num(changes))
     scale = np.sqrt(np.maximum(np.mean(G**2, axis=(1, 2)), LEAST_VARIANCE))
     G, low, high = (G / scale[:, None, None]).astype(np.float32), low * scale, high * scale
-    gg = about.squares(G)
-    count = np.array([[float(max(len(pair), 1))] for pair in about.pairs])
+    gg = about.squares(G)[:, :, None].astype(float)
+    count = np.array([float(max(len(pair), 1)) for pair in about.pairs])
     found = []
     for n in np.diff([*range(0, draws, CHUNK), draws]):
         e = about.absorbed(about.drawn(int(n), rng))
-        left = about.squares(e)
-        rho, S = _ar1(left, count, about.largest_rho)
-        weight = _kinds(rho) / S  # (3, channels, draws)
-        b = np.einsum("tcn,tcnk->nk", weight, about.products(e.astype(np.float32), G))
-        std = np.sqrt(np.maximum(np.einsum("tcn,tck->nk", weight, gg), 1e-12))
-        z = b / std
-        size = np.clip(z, low * std, high * std)  # in standard deviations
-        found.append(np.sign(size) * np.sqrt(np.maximum(z**2 - (z - size) ** 2, 0.0)))
+        ee, eg = about.squares(e)[..., None], about.products(e.astype(np.float32), G).astype(float)
+        found.append(_null_scores(ee, eg, gg, count, about.largest_rho, low, high))
     return np.concatenate(found) if found else np.zeros((0, len(G)))
+
+
+def _null_scores(
+    ee: Float[np.ndarray, "3 channels n 1"],
+    eg: Float[np.ndarray, "3 channels n k"],
+    gg: Float[np.ndarray, "3 channels 1 k"],
+    count: Float[np.ndarray, " channels"],
+    largest_rho: float,
+    low: Float[np.ndarray, " k"],
+    high: Float[np.ndarray, " k"],
+) -> Float[np.ndarray, "n k"]:
+    """Directed scores of series e by single directions g, the noise estimated at each size, as `profile` does."""
+
+    def noise(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return _ar1(ee - 2.0 * size * eg + size**2 * gg, count[:, None, None], largest_rho)
+
+    size = np.zeros(eg.shape[2:])
+    none = np.tensordot(count, np.log(noise(size)[1]), 1)
+    for _ in range(ITERATIONS):
+        rho, S = noise(size)
+        weight = _kinds(rho) / S
+        information = np.maximum(np.sum(weight * gg, axis=(0, 1)), 1e-12)
+        size = np.clip(np.sum(weight * eg, axis=(0, 1)) / information, low, high)
+    gain = 0.5 * (none - np.tensordot(count, np.log(noise(size)[1]), 1))
+    return np.sign(size) * np.sqrt(2.0 * np.maximum(gain, 0.0))
