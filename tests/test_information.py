@@ -226,6 +226,26 @@ def test_laplace_is_the_gaussian_about_the_fit_of_a_series_without_noise() -> No
     np.testing.assert_allclose(covariance / np.outer(std, std), expected / np.outer(std, std), atol=0.02)
 
 
+def test_a_fit_that_ignores_correlation_says_as_much_as_its_score_varies() -> None:
+    """M B^-1 M with B = J'RJ, R dense; less than the series say."""
+    sim = simulator()
+    sim = sim.with_noise(replace(sim.noise, rho=np.linspace(0.5, 0.9, len(sim.windows.channels))))
+    found = laplace(sim, sim.noise_free(MIDDLE[None])[0], MIDDLE[None])
+    assert found is not None
+    at = sensitivity(sim, found[0])
+    J = at.jacobian / sim.noise.std(at.y)
+    lags = np.abs(np.subtract.outer(*[np.arange(sim.shape[1])] * 2))
+    B = sum(J[:, c] @ (rho**lags) @ J[:, c].T for c, rho in enumerate(sim.noise.rho))
+    M = np.einsum("ict,jct->ij", J, J)
+    d, prior = len(MIDDLE), np.ones(len(J))
+    prior[:d] = sim.space.prior_std**-2.0
+    expected = np.linalg.inv(M @ np.linalg.solve(B, M) + np.diag(prior))[:d, :d]
+    std = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found[1] / np.outer(std, std), expected / np.outer(std, std), atol=1e-6)
+    everything = np.linalg.inv(joint_fisher(sim, at) + np.diag(prior))[:d, :d]
+    assert (np.diag(found[1]) >= np.diag(everything)).all()
+
+
 def test_a_fit_that_explains_little_says_nothing_about_the_posterior() -> None:
     sim = simulator()
     y = sim.noise_free(MIDDLE[None])[0]

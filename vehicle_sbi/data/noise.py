@@ -113,6 +113,18 @@ class MeasurementNoise:
             correlated[channel] = lfilter([1.0], [1.0, -rho], driven, axis=-1)
         return correlated.reshape(shape)
 
+    def correlated(self, series: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, "n channels time"]:
+        """R x for each series x, R being the noise's correlation: rho^lag inside a window and none between two."""
+        if not self.rho.any():
+            return series
+        out = np.empty_like(series, dtype=float)
+        for channel, rho in enumerate(self.rho):
+            x = series[:, channel].reshape(len(series), -1, self.window)
+            later = lfilter([1.0], [1.0, -rho], x, axis=-1)
+            earlier = lfilter([1.0], [1.0, -rho], x[..., ::-1], axis=-1)[..., ::-1]
+            out[:, channel] = (later + earlier - x).reshape(len(series), -1)
+        return out
+
     def whiten(
         self,
         residual: Float[np.ndarray, "*n channels time"],

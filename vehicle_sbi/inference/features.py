@@ -6,13 +6,12 @@ function from series (n, channels, time) to x.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from jaxtyping import Float
 from torch import nn
 
-from vehicle_sbi.data.noise import MeasurementNoise
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.embedding import StridedCNN
 from vehicle_sbi.inference.emulator import Emulator
@@ -38,8 +37,9 @@ class Features(Protocol):
         """The function from series to x, from parameters that are proposed and pilot simulations of them."""
         ...
 
-    def efficient(self, noise: MeasurementNoise) -> bool:
-        """Whether they keep what a fit of the model under this noise uses, so that a fit may bound the proposals."""
+    @property
+    def efficient(self) -> bool:
+        """Whether they keep what a fit of the model uses, so that a fit may bound the proposals."""
         ...
 
     def network(self, channels: int, time: int) -> nn.Module | None:
@@ -68,6 +68,7 @@ class Handcrafted:
 
     lags_s: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0)
     recentred: bool = False
+    efficient: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if not self.lags_s or not all(0 <= lag < np.inf for lag in self.lags_s):
@@ -84,9 +85,6 @@ class Handcrafted:
         statistics = self.statistics(pilot, rate)
         mean, std = statistics.mean(axis=0), statistics.std(axis=0) + TINY
         return lambda y: (self.statistics(y, rate) - mean) / std
-
-    def efficient(self, noise: MeasurementNoise) -> bool:
-        return False
 
     def network(self, channels: int, time: int) -> nn.Module | None:
         return None
@@ -150,6 +148,7 @@ class Score:
     """
 
     recentred: bool = True
+    efficient: ClassVar[bool] = True
 
     def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], theta: Theta, pilot: Series) -> Summary:
         model = Linearised.about(simulator, fiducial)
@@ -161,9 +160,6 @@ class Score:
             return _weighted(model, std, rows)
         emulator = Emulator.of(simulator, model.origin, directions, theta, std)
         return lambda y: emulator.fitted(y)[:, rows]
-
-    def efficient(self, noise: MeasurementNoise) -> bool:
-        return bool(noise.share.any()) and not noise.rho.any()
 
     def network(self, channels: int, time: int) -> nn.Module | None:
         return None
@@ -199,6 +195,7 @@ class Embedding:
     decimate: int = 4
     outputs: int = 20
     recentred: bool = False
+    efficient: ClassVar[bool] = False
 
     def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], theta: Theta, pilot: Series) -> Summary:
         if not 1 <= self.decimate <= pilot.shape[-1] // 64:
@@ -214,9 +211,6 @@ class Embedding:
             return z.reshape(*z.shape[:-1], kept // self.decimate, self.decimate).mean(axis=-1)
 
         return standardise
-
-    def efficient(self, noise: MeasurementNoise) -> bool:
-        return False
 
     def network(self, channels: int, time: int) -> nn.Module | None:
         return StridedCNN(channels=channels, outputs=self.outputs)

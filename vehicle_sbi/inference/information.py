@@ -165,8 +165,9 @@ def laplace(
     """Mean and covariance of theta in Laplace's approximation to its posterior, the box taken for a Gaussian.
 
     None where the model does not explain what was observed, so that its fit says little. Each fit is weighted by the
-    noise that the one before implies; weights by what was observed would favour low values. (MacKay, Information
-    Theory, Inference, and Learning Algorithms, ch. 27.)
+    noise that the one before implies; weights by what was observed would favour low values. They take noise as
+    independent, so where it is not the posterior is that given the fit, wider than that given the series. (MacKay,
+    Information Theory, Inference, and Learning Algorithms, ch. 27.)
     """
     noise, valid, space, d = simulator.noise, simulator.windows.valid, simulator.space, len(simulator.space)
     none = np.zeros(len(simulator.nuisances))
@@ -179,4 +180,16 @@ def laplace(
     if np.mean(((observed - at.y) / noise.std(at.y))[valid] ** 2) > EXPLAINED:
         return None
     prior = np.diag(np.concatenate([space.prior_std**-2.0, np.ones(len(eta))]))
-    return theta, np.linalg.inv(joint_fisher(simulator, at) + prior)[:d, :d]
+    F = _fit_information(simulator, at) if noise.rho.any() else joint_fisher(simulator, at)
+    return theta, np.linalg.inv(F + prior)[:d, :d]
+
+
+def _fit_information(simulator: Simulator, at: Sensitivity) -> Float[np.ndarray, "p p"]:
+    """Information about (theta, eta) in a fit whose weights take correlated noise for independent: M B^-1 M.
+
+    M = J'J is what the fit takes its information for, B = J'RJ the variance of its score (White, Econometrica, 1982).
+    """
+    noise = simulator.noise
+    J = np.where(simulator.windows.valid, at.jacobian / noise.std(at.y), 0.0)
+    M, B = np.tensordot(J, J, ((1, 2), (1, 2))), np.tensordot(J, noise.correlated(J), ((1, 2), (1, 2)))
+    return M @ np.linalg.pinv(B, rcond=1e-12, hermitian=True) @ M

@@ -62,7 +62,7 @@ class Problem:
     def neighbourhood(self) -> tuple[Neighbourhood, ...]:
         """Where a fit leaves the parameters: a single region, or none where the features say less than the fit uses."""
         simulator, space = self.simulator, self.simulator.space
-        if not self.features.efficient(simulator.noise):
+        if not self.features.efficient:
             return ()
         rng = generator(seed=simulator.seed, stream=Stream.STUDY, index=3)
         drawn = rng.uniform(space.low, space.high, (FIT_STARTS - 1, len(space)))
