@@ -120,9 +120,8 @@ class MeasurementNoise:
         out = np.empty_like(series, dtype=float)
         for channel, rho in enumerate(self.rho):
             x = series[:, channel].reshape(len(series), -1, self.window)
-            later = lfilter([1.0], [1.0, -rho], x, axis=-1)
-            earlier = lfilter([1.0], [1.0, -rho], x[..., ::-1], axis=-1)[..., ::-1]
-            out[:, channel] = (later + earlier - x).reshape(len(series), -1)
+            later, earlier = (np.asarray(lfilter([1.0], [1.0, -rho], one, axis=-1)) for one in (x, x[..., ::-1]))
+            out[:, channel] = (later + earlier[..., ::-1] - x).reshape(len(series), -1)
         return out
 
     def whiten(

@@ -28,6 +28,9 @@ INFORMATIVE = 1e-4  # information, in units of the prior's, below which a direct
 class Features(Protocol):
     """What is configured as `features=...`."""
 
+    efficient: ClassVar[bool]
+    """Whether they keep what a fit of the model uses, so that a fit may bound the proposals."""
+
     @property
     def recentred(self) -> bool:
         """Whether the features move with the fiducial, so that stored simulations need theirs anew each round."""
@@ -35,11 +38,6 @@ class Features(Protocol):
 
     def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], theta: Theta, pilot: Series) -> Summary:
         """The function from series to x, from parameters that are proposed and pilot simulations of them."""
-        ...
-
-    @property
-    def efficient(self) -> bool:
-        """Whether they keep what a fit of the model uses, so that a fit may bound the proposals."""
         ...
 
     def network(self, channels: int, time: int) -> nn.Module | None:
