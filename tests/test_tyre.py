@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from reference_single_track import dugoff as printed_dugoff
 
 from vehicle_sbi.physics.effects import derive
-from vehicle_sbi.physics.tyre import dugoff, effective_radius
+from vehicle_sbi.physics.tyre import dugoff, effective_radius, grips
 
 EPS = np.finfo(float).eps
 C_KAPPA, C_ALPHA, MU = 131963.0, 100e3, 1.0489  # front axle of the car of the closed forms
@@ -130,6 +130,19 @@ def test_rearranged_form_equals_the_printed_one(
     ours = dugoff(C_kappa, C_alpha, mu, F_z, kappa, math.tan(alpha))
     printed = printed_dugoff(C_kappa, C_alpha, mu, F_z, kappa, alpha)
     assert ours == pytest.approx(printed, rel=1e3 * EPS, abs=1e3 * EPS)
+
+
+@given(stiffness, stiffness, friction, load, slip, tangent, st.floats(1.0, 10.0))
+def test_more_load_changes_no_force_that_grips(
+    C_kappa: float, C_alpha: float, mu: float, F_z: float, kappa: float, t: float, more: float
+) -> None:
+    # Exactly the same numbers, but where rounding decides on which side of the knee they are, f = 1 - (1 - lambda)^2.
+    F = dugoff(C_kappa, C_alpha, mu, F_z, kappa, t)
+    if grips(mu, F_z, *F):
+        assert dugoff(C_kappa, C_alpha, mu, more * F_z, kappa, t) == pytest.approx(F, rel=4 * EPS)
+    elif F != (0.0, 0.0) and kappa > -1.0:
+        assert math.hypot(*F) < math.hypot(*dugoff(C_kappa, C_alpha, mu, 1.01 * F_z, kappa, t)) * (1.0 + 4 * EPS)
+    assert not grips(mu, min(F_z, 0.0), 0.0, 0.0)  # a wheel in the air has no force, and would have with a load
 
 
 @given(stiffness, stiffness, friction, load, slip, tangent)

@@ -72,11 +72,12 @@ def extrapolated(iteration: int, off_x: float, off_y: float, turn: float, x: flo
 
 @compiled
 def settled(forces, p, car, a_x: float, a_y: float):
-    """What `forces(p, car, front, a_x, a_y)` finds at the accelerations [m/s^2] that it causes, and these two.
+    """What `forces(p, car, front, a_x, a_y)` finds at the accelerations [m/s^2] that it causes, where the front wheels
+    point then, and these accelerations.
 
-    `forces` returns accelerations a_x, a_y and the front axle's side force F_yf; a_x and a_y on entry are the guess
-    from which the loop starts. Compliant wheels are solved for with the tyre's slope at the origin. NaN if the loop
-    does not end.
+    `forces` returns accelerations a_x, a_y, whether they are `settled`, so that it would find the same under them, and
+    the front axle's side force F_yf; a_x and a_y on entry are the guess from which the loop starts. Compliant wheels
+    are solved for with the tyre's slope at the origin. NaN if the loop does not end.
     """
     slope = 1.0 + (0.0 if car.relaxed else steering_compliance(p, p.C_alpha_f))
     front, twist, iteration = pointing(car.outside.delta), 0.0, 0
@@ -85,10 +86,13 @@ def settled(forces, p, car, a_x: float, a_y: float):
         found = forces(p, car, front, a_x, a_y)
         missing = steering_compliance(p, found.F_yf) - twist
         off_x, off_y, turn = found.a_x - a_x, found.a_y - a_y, missing / slope
-        if max(abs(off_x), abs(off_y)) < LOAD_TOLERANCE and abs(missing) < TWIST_TOLERANCE:
-            return found, a_x, a_y
+        if abs(missing) < TWIST_TOLERANCE:
+            if found.settled:
+                return found, front, found.a_x, found.a_y
+            if max(abs(off_x), abs(off_y)) < LOAD_TOLERANCE:
+                return found, front, a_x, a_y
         if iteration == LOAD_ITERATIONS:
-            return found, math.nan, a_y
+            return found, front, math.nan, a_y
         back = extrapolated(iteration, off_x, off_y, turn, before_x, before_y, before_turn)
         part = 1.0 if iteration < SECANTS else 0.5
         before_x, before_y, before_turn = off_x, off_y, turn

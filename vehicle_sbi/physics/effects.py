@@ -561,6 +561,12 @@ def wheel_radius(p) -> tuple[float, float]:
 
 
 @compiled
+def load_is_spare(p) -> bool:
+    """Whether no effect makes the forces of a tyre that does not saturate depend on its load."""
+    return p.load_sensitivity_coefficient == 0.0 and p.tyre_curve_peak == 0.0
+
+
+@compiled
 def tyre_force(
     p, C_kappa: float, C_alpha: float, mu: float, F_z: float, load: float, kappa: float, tan_alpha: float, a_y: float
 ) -> tuple[float, float]:

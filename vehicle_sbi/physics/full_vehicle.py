@@ -171,6 +171,7 @@ class Forces(NamedTuple):
 
     a_x: float  # [m/s^2]
     a_y: float
+    settled: bool  # whether the loads of these accelerations leave all forces exactly as they are
     F_yf: float  # side force of the front axle [N]
     M_z: float  # [N m]
     roll_rate_dot: float  # [rad/s^2]
@@ -239,7 +240,7 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     M_z = out.moment_z + (fl.M_z + fr.M_z) + (rl.M_z + rr.M_z)
     solved_x, solved_y = accelerated(p, car, F_x, F_y)
     solved_x = a_x if car.drive == SPEED else solved_x
-    return Forces(solved_x, solved_y, fl.F_side + fr.F_side, M_z, roll_rate_dot, pitch_rate_dot, fl, fr, rl, rr)
+    return Forces(solved_x, solved_y, False, fl.F_side + fr.F_side, M_z, roll_rate_dot, pitch_rate_dot, fl, fr, rl, rr)
 
 
 @compiled
@@ -283,7 +284,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         rear_right=wheel(rear.x, -y_r, v_x, v_y, r, state[10], state[14], state[18]),
     )
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
-    found, a_x, a_y = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
+    found, _, a_x, a_y = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
 
     rate[V_X], rate[V_Y], rate[R] = a_x + v_y * r, a_y - v_x * r, found.M_z / p.I_z
     rate[ROLL], rate[PITCH] = state[ROLL_RATE], state[PITCH_RATE]

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import tyre_force
-from vehicle_sbi.physics.tyre import effective_radius
+from vehicle_sbi.physics.effects import load_is_spare, tyre_force
+from vehicle_sbi.physics.tyre import effective_radius, grips
 
 TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2
 DRIVES = {"torque": TORQUE, "wheel_speed": WHEEL_SPEED, "speed": SPEED}
@@ -90,47 +90,68 @@ class Car(NamedTuple):
     tan_r: float
 
 
+class Rolling(NamedTuple):
+    """How the wheels roll under their loads."""
+
+    R_f: float  # effective radii [m]
+    R_r: float
+    kappa_f: float  # slips without lag
+    kappa_r: float
+
+
 class Forces(NamedTuple):
-    """What the axles' tyres do to the car, and what they are under."""
+    """What the axles' tyres do to the car."""
 
     a_x: float  # [m/s^2]
     a_y: float
+    settled: bool  # whether the loads of these accelerations leave all forces exactly as they are
     F_xf: float  # in the wheels' own directions [N]
     F_yf: float
     F_lateral_f: float  # across the car [N]
     F_xr: float
     F_yr: float
-    R_f: float  # effective radii [m]
-    R_r: float
-    kappa_f: float  # slips without lag, front slip angle [rad]
-    kappa_r: float
-    alpha_f: float
+
+
+@compiled
+def loads(p, car: Car, a_x: float) -> tuple[float, float]:
+    """Loads [N] of the front and rear axle under an acceleration a_x [m/s^2]."""
+    shift = p.load_transfer * (a_x + car.outside.g_x)
+    return p.F_zf_static - shift + car.outside.press_f, p.F_zr_static + shift + car.outside.press_r
+
+
+@compiled
+def rolling(p, car: Car, front: Front, F_zf: float, F_zr: float) -> Rolling:
+    """Radii and slips of wheels under axle loads [N]; no slip where the drive mode has none."""
+    if car.drive == SPEED:
+        return Rolling(p.R_front, p.R_rear, 0.0, 0.0)
+    v_wheel_f = car.v_x * front.cosine + car.v_yf * front.sine
+    R_f, R_r = effective_radius(p.R_front, p.C_vert, F_zf), effective_radius(p.R_rear, p.C_vert, F_zr)
+    return Rolling(R_f, R_r, slip(R_f * car.omega_f, v_wheel_f), slip(R_r * car.omega_r, car.v_x))
 
 
 @compiled
 def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     """Forces of both axles under the loads of an acceleration a_x [m/s^2], and the acceleration that they cause.
 
-    It moves load lengthwise alone: a_y is passed on.
+    It moves load lengthwise alone: a_y is passed on. Tyres whose slips lag and that do not saturate, neither under
+    these loads nor under those of the acceleration that they cause, have the same forces under both.
     """
     out = car.outside
-    alpha_f = front.delta - car.beta_f
-    shift = p.load_transfer * (a_x + out.g_x)
-    F_zf, F_zr = p.F_zf_static - shift + out.press_f, p.F_zr_static + shift + out.press_r
-    R_f, R_r, kappa_f, kappa_r = p.R_front, p.R_rear, 0.0, 0.0
-    if car.drive != SPEED:
-        v_wheel_f = car.v_x * front.cosine + car.v_yf * front.sine
-        R_f, R_r = effective_radius(p.R_front, p.C_vert, F_zf), effective_radius(p.R_rear, p.C_vert, F_zr)
-        kappa_f, kappa_r = slip(R_f * car.omega_f, v_wheel_f), slip(R_r * car.omega_r, car.v_x)
-    tan_f = car.tan_f if car.relaxed else tangent(alpha_f)
-    used_f, used_r = (car.kappa_f, car.kappa_r) if car.relaxed else (kappa_f, kappa_r)
+    F_zf, F_zr = loads(p, car, a_x)
+    kappa_f, kappa_r, tan_f = car.kappa_f, car.kappa_r, car.tan_f
+    if not car.relaxed:
+        _, _, kappa_f, kappa_r = rolling(p, car, front, F_zf, F_zr)
+        tan_f = tangent(front.delta - car.beta_f)
     load_f, load_r = F_zf / p.F_zf_static, F_zr / p.F_zr_static
-    F_xf, F_yf = tyre_force(p, p.C_kappa_f, p.C_alpha_f, out.mu, F_zf, load_f, used_f, tan_f, out.steady)
-    F_xr, F_yr = tyre_force(p, p.C_kappa_r, p.C_alpha_r, out.mu, F_zr, load_r, used_r, car.tan_r, out.steady)
+    F_xf, F_yf = tyre_force(p, p.C_kappa_f, p.C_alpha_f, out.mu, F_zf, load_f, kappa_f, tan_f, out.steady)
+    F_xr, F_yr = tyre_force(p, p.C_kappa_r, p.C_alpha_r, out.mu, F_zr, load_r, kappa_r, car.tan_r, out.steady)
     F_along = F_xf * front.cosine - F_yf * front.sine + F_xr + out.push_x
     F_lateral_f = F_xf * front.sine + F_yf * front.cosine
     solved = a_x if car.drive == SPEED else F_along / p.mass
-    return Forces(solved, a_y, F_xf, F_yf, F_lateral_f, F_xr, F_yr, R_f, R_r, kappa_f, kappa_r, alpha_f)
+    moved = abs(p.load_transfer * (solved - a_x))
+    settled = car.relaxed and load_is_spare(p)
+    settled = settled and grips(out.mu, F_zf - moved, F_xf, F_yf) and grips(out.mu, F_zr - moved, F_xr, F_yr)
+    return Forces(solved, a_y, settled, F_xf, F_yf, F_lateral_f, F_xr, F_yr)
 
 
 @compiled
@@ -154,19 +175,21 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         tan_r=tangent(state[ALPHA_R] if relaxed else alpha_r),
     )
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
-    found, a_x, _ = settled(forces, p, car, given - v_y * r, 0.0)
+    found, front, a_x, _ = settled(forces, p, car, given - v_y * r, 0.0)
+    F_zf, F_zr = loads(p, car, a_x)
+    rolls = rolling(p, car, front, F_zf, F_zr)
 
     out = car.outside
     rate[V_X] = a_x + v_y * r
     rate[V_Y] = (found.F_lateral_f + found.F_yr + out.push_y) / p.mass - v_x * r
     rate[R] = (p.l_front * found.F_lateral_f - p.l_rear * found.F_yr + out.moment_z) / p.I_z
     T_f, T_r = wheel_torque(u[T_F], state[OMEGA_F]), wheel_torque(u[T_R], state[OMEGA_R])
-    rate[OMEGA_F] = (T_f - found.F_xf * found.R_f) / p.I_wf if drive == TORQUE else 0.0
-    rate[OMEGA_R] = (T_r - found.F_xr * found.R_r) / p.I_wr if drive == TORQUE else 0.0
+    rate[OMEGA_F] = (T_f - found.F_xf * rolls.R_f) / p.I_wf if drive == TORQUE else 0.0
+    rate[OMEGA_R] = (T_r - found.F_xr * rolls.R_r) / p.I_wr if drive == TORQUE else 0.0
     fade_f, fade_r = (speed / p.sigma_f, speed / p.sigma_r) if relaxed else (0.0, 0.0)
-    rate[KAPPA_F] = fade_f * (found.kappa_f - state[KAPPA_F])
-    rate[KAPPA_R] = fade_r * (found.kappa_r - state[KAPPA_R])
-    rate[ALPHA_F] = fade_f * (found.alpha_f - state[ALPHA_F])
+    rate[KAPPA_F] = fade_f * (rolls.kappa_f - state[KAPPA_F])
+    rate[KAPPA_R] = fade_r * (rolls.kappa_r - state[KAPPA_R])
+    rate[ALPHA_F] = fade_f * (front.delta - car.beta_f - state[ALPHA_F])
     rate[ALPHA_R] = fade_r * (alpha_r - state[ALPHA_R])
 
 

@@ -36,6 +36,17 @@ def dugoff(
 
 
 @compiled
+def grips(mu: float, F_z: float, F_x: float, F_y: float) -> bool:
+    """Whether Dugoff's forces [N] are short of the knee (lambda = 1) under a load F_z [N], so that no larger load would
+    change them.
+
+    There the force is S / (1 + kappa), and lambda > 1 says that it is below mu F_z / 2.
+    """
+    half = 0.5 * mu * max(F_z, 0.0)
+    return F_x * F_x + F_y * F_y < half * half
+
+
+@compiled
 def effective_radius(R_f: float, C_vert: float, F_z: float) -> float:
     """Effective rolling radius [m] of an axle's tyres, 2/3 R_f + 1/3 R_l with R_l = R_f - F_z,tyre / C_vert.
 
