@@ -3,12 +3,46 @@
     .venv/bin/python benchmarks/lever_arm.py        about an hour on two cores; started again, it goes on
 
 Runs `experiment=lever_arm` with both priors as a user would, each seed with a truth of its own, then gathers the run
-folders into results/lever_arm.csv and results/lever_arm.md.
+folders into results/lever_arm.csv and results/lever_arm.md, and draws docs/lever_arm.png.
 """
 
-from gathering import ROOT, gather, run
+from pathlib import Path
+
+import matplotlib
+import pandas as pd
+from gathering import RESULTS, ROOT, gather, run
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from vehicle_sbi.report.figures import POSTERIOR, STYLE, TRUTH, key, save
 
 RUNS = ROOT / "outputs" / "lever_arm"
+SETTINGS = {"lever_arm": "from the centre of gravity", "lever_arm_base_link": "from the rear axle"}
+
+
+def errors(axis: Axes, table: pd.DataFrame) -> None:
+    """Posterior means less the truth [cm] with their 90 % intervals, one line per seed."""
+    less = 100.0 * table[["q05", "mean", "q95"]].sub(table["true"], axis=0)
+    axis.axvline(0.0, color=TRUTH, linewidth=1.0)
+    axis.hlines(table["seed"], less["q05"], less["q95"], color=POSTERIOR, linewidth=2.0)
+    axis.plot(less["mean"], table["seed"], "o", color=POSTERIOR, markersize=4.0)
+    reach = 1.1 * less.abs().to_numpy().max()
+    axis.set_xlim(-reach, reach)
+    axis.set_yticks([])
+
+
+def draw(table: pd.DataFrame, path: Path) -> None:
+    """One row of panels per setting, one panel per axis of the IMU's place."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(8.0, 4.6), layout="constrained")
+        panels = figure.subplots(len(SETTINGS), 3)
+        for row, (prior, setting) in zip(panels, SETTINGS.items(), strict=True):
+            for axis, name in zip(row, "xyz", strict=True):
+                of_axis = table["parameter"].isin([f"imu_lever_arm.{name}", f"imu_{name}"])
+                errors(axis, table[(table["prior"] == prior) & of_axis])
+                axis.set_xlabel(f"{name}, estimate less truth [cm]")
+            row[0].set_ylabel(f"{setting}\nten drives")
+        save(figure, path, [key("truth", TRUTH), key("mean and 90 % interval", POSTERIOR, marker="o")])
 
 
 def main() -> None:
@@ -24,6 +58,7 @@ def main() -> None:
         "hydra.sweep.subdir=${hydra:runtime.choices.prior}+seed-${seed}",
     )
     print(gather("lever_arm", list(RUNS.glob("lever_arm*")), "prior"))
+    draw(pd.read_csv(RESULTS / "lever_arm.csv"), ROOT / "docs" / "lever_arm.png")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,8 @@ from scipy.integrate import quad
 from scipy.stats import kstest
 
 from vehicle_sbi.mismatch.candidates import directions, slopes
-from vehicle_sbi.mismatch.detect import Group, Linearised, Scores, gained, score
+from vehicle_sbi.mismatch.detect import Scores, score
+from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.locate import bump, clock, stretches
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -20,6 +21,14 @@ def scores(b: float, information: float, low: float, high: float) -> Scores:
     gain = max(b * size - 0.5 * information * size**2, 0.0)
     one = [np.array([value]) for value in (gain, size, information, low, high)]
     return Scores(*one, null=np.zeros((1, 1)))
+
+
+def bumps_of(fit: Fit, channel: int) -> np.ndarray:
+    """Every stretch of time of one channel."""
+    spans = stretches(fit.simulator)
+    bumps = np.zeros((len(spans), *fit.at.y.shape))
+    bumps[:, channel] = [bump(clock(fit.simulator), *span) for span in spans]
+    return bumps
 
 
 @pytest.mark.parametrize(("b", "information", "low", "high"), [(3.0, 40.0, -1.0, 1.0), (9.0, 40.0, 0.0, 2.0)])
@@ -47,7 +56,7 @@ def test_the_size_of_a_bias_comes_out_as_it_went_in() -> None:
 @pytest.mark.parametrize(("rho", "seconds"), [(0.0, 5.0), (0.9, 10.0)])
 def test_p_values_are_uniform_where_nothing_is_missing(rho: float, seconds: float) -> None:
     # 60 recordings; noise and parameters are fitted to each. A Kolmogorov-Smirnov test at 0.1 % keeps chance out, of
-    # the largest score alone, and beside four stretches of a_y together.
+    # the largest score alone, and beside all stretches of each channel together.
     sim, found = lateral(rho=rho, seconds=seconds), []
     p, together = [], []
     for seed in range(60):
@@ -59,12 +68,10 @@ def test_p_values_are_uniform_where_nothing_is_missing(rho: float, seconds: floa
         low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
         changes = slopes(fit.simulator, fit.theta, found)
         p.append(score(fit, changes, low, high, rng=np.random.default_rng(seed), draws=300).p_value())
-        bumps = np.zeros((4, *sim.shape))
-        bumps[:, 1] = [bump(clock(sim), *span) for span in stretches(sim)[1:5]]
-        free = np.full(4, np.inf)
-        scores = score(fit, bumps, -free, free, rng=np.random.default_rng(seed), draws=300)
-        group = Group([0, 1, 2, 3], gained(Linearised.of(fit), bumps))
-        together.append(scores.p_value([group]))
+        bumps = np.concatenate([bumps_of(fit, channel) for channel in range(sim.shape[0])])
+        rows, free = np.arange(len(bumps)).reshape(sim.shape[0], -1).tolist(), np.full(len(bumps), np.inf)
+        scores = score(fit, bumps, -free, free, rng=np.random.default_rng(seed), draws=300, together=rows)
+        together.append(scores.p_value())
     assert kstest(p, "uniform").pvalue > 1e-3
     assert kstest(together, "uniform").pvalue > 1e-3
 
@@ -76,9 +83,7 @@ def test_a_walk_is_no_noise_once_it_remembers_for_long() -> None:
     off = observation.observed.copy()
     off[2] += walk
     fit = fitted(replace(observation, observed=off))
-    spans = stretches(fit.simulator)
-    bumps = np.zeros((len(spans), *fit.at.y.shape))
-    bumps[:, 2] = [bump(clock(fit.simulator), *span) for span in spans]
-    free = np.full(len(spans), np.inf)
-    scores = score(fit, bumps, -free, free, rng=np.random.default_rng(0), draws=200)
-    assert scores.p_value([Group(list(range(len(spans))), gained(Linearised.of(fit), bumps))]) < 0.05
+    bumps = bumps_of(fit, 2)
+    free = np.full(len(bumps), np.inf)
+    s = score(fit, bumps, -free, free, rng=np.random.default_rng(0), draws=200, together=[range(len(bumps))])
+    assert s.p_value() < 0.05

@@ -11,7 +11,8 @@ left over, and z_k = sign(a) sqrt(2 (l(k) - l(none))) its directed score. The no
 the direction: under the base model's alone a mismatch counts as slow noise that excuses itself.
 
 Under the fitted model scores are standard normal, correlated as the directions are after what the fit absorbs. So the
-null of the largest of any set comes from noise that is drawn, fitted and scored.
+null of the largest of any set comes from noise that is drawn, fitted and scored. So does that of several directions
+together, which slow noise lets gain more than a chi-square has: with each of them it is estimated to be less slow.
 """
 
 from collections.abc import Sequence
@@ -36,17 +37,18 @@ Products = Float[np.ndarray, "3 channels i j"]
 
 @dataclass(frozen=True)
 class Group:
-    """Directions that are also tested together: their rows, and the log likelihood that all of them gain."""
+    """Directions that are also tested together: the log likelihood that all of them gain, at sizes of their own, in
+    the recording and in drawn noise."""
 
-    rows: list[int]
     gain: float
+    null: Float[np.ndarray, " draws"]
 
 
 @dataclass(frozen=True)
 class Scores:
     """Directions at first order: likelihood gained, size, the information about it, the sizes that the prior allows.
 
-    `null` (draws, k) are the scores of drawn noise.
+    `null` (draws, k) are the scores of drawn noise, `groups` those that are also tested together.
     """
 
     gain: Float[np.ndarray, " k"]
@@ -55,6 +57,7 @@ class Scores:
     low: Float[np.ndarray, " k"]
     high: Float[np.ndarray, " k"]
     null: Float[np.ndarray, "draws k"]
+    groups: tuple[Group, ...] = ()
 
     @property
     def z(self) -> Float[np.ndarray, " k"]:
@@ -66,7 +69,7 @@ class Scores:
         highest = np.abs(self.null).max(axis=1, initial=0.0)
         return (1.0 + (highest[:, None] >= np.abs(self.z)).sum(axis=0)) / (len(highest) + 1.0)
 
-    def p_value(self, groups: Sequence[Group] = (), *, tolerated: float = 0.0) -> float:
+    def p_value(self, *, tolerated: float = 0.0) -> float:
         """How often noise alone is as extreme: by its largest score, or by what a group of directions gains together.
 
         A mismatch that comes and goes has many small scores in a row, not one large one. `tolerated` is a score that is
@@ -75,10 +78,7 @@ class Scores:
         shrink = 1.0 / (1.0 + tolerated**2)
         highest = np.abs(self.null).max(axis=1, initial=0.0)
         statistics = [np.append(np.sqrt(shrink) * np.abs(self.z).max(initial=0.0), highest)]
-        for group in groups:
-            z = self.null[:, group.rows]
-            precision = np.linalg.pinv(np.cov(z, rowvar=False), rcond=1e-6, hermitian=True)
-            statistics.append(np.append(2.0 * shrink * group.gain, np.einsum("ni,ij,nj->n", z, precision, z)))
+        statistics += [np.append(shrink * group.gain, group.null) for group in self.groups]
         ranks = [rankdata(-one, method="max") for one in statistics]
         least = np.min(ranks, axis=0)
         return float((least <= least[0]).sum() / len(least))
@@ -121,6 +121,11 @@ class Linearised:
         pairs = [1 + np.flatnonzero(valid[1:] & valid[:-1] & same) for valid in windows.valid]
         J = np.concatenate([fit.at.J[fit.inside], states])
         return cls(fit, np.nan_to_num(J), len(states), fit.residual[None], pairs)
+
+    @property
+    def count(self) -> Float[np.ndarray, " channels"]:
+        """Neighbouring valid samples of each channel."""
+        return np.array([float(max(len(pair), 1)) for pair in self.pairs])
 
     @property
     def largest_rho(self) -> float:
@@ -183,11 +188,14 @@ class Profiled:
 
 @dataclass(frozen=True)
 class Quadratic:
-    """Products of what k models leave over at sizes x, rr - 2 b x + x H x, of the three kinds in each channel."""
+    """Products of what k models leave over at sizes x, rr - 2 b x + x H x, of the three kinds in each channel.
+
+    `rr` has one column if all of them explain the same series.
+    """
 
     H: Float[np.ndarray, "3 channels k n n"]
     b: Float[np.ndarray, "3 channels k n"]
-    rr: Float[np.ndarray, "3 channels"]
+    rr: Float[np.ndarray, "3 channels #k"]
     count: Float[np.ndarray, " channels"]
     largest_rho: float
 
@@ -205,17 +213,19 @@ class Quadratic:
             H[:, :, row, m:, m:] = about.products(g, g)
         b[..., :m] = about.products(about.J, about.residual)[:, :, None, :, 0]
         b[..., m:] = about.products(flat, about.residual).reshape(3, channels, k, q)
-        rr = about.products(about.residual, about.residual)[..., 0, 0]
-        count = np.array([float(max(len(pair), 1)) for pair in about.pairs])
-        return cls(H, b, rr, count, about.largest_rho)
+        return cls(H, b, about.squares(about.residual), about.count, about.largest_rho)
 
     def noise(
         self, x: Float[np.ndarray, "k n"]
     ) -> tuple[Float[np.ndarray, "channels k"], Float[np.ndarray, "channels k"]]:
         """Correlation and innovation variance of what is left over at x."""
-        left = self.rr[..., None] - 2.0 * np.einsum("tcki,ki->tck", self.b, x)
+        left = self.rr - 2.0 * np.einsum("tcki,ki->tck", self.b, x)
         left = left + np.einsum("tckij,ki,kj->tck", self.H, x, x, optimize=True)
         return _ar1(left, self.count[:, None], self.largest_rho)
+
+    def log_likelihood(self, x: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
+        """Of what is left over at x under its own noise, up to a constant."""
+        return -0.5 * (self.count @ np.log(self.noise(x)[1]))
 
     def weighted(
         self, x: Float[np.ndarray, "k n"], prior: Float[np.ndarray, "n n"]
@@ -235,8 +245,7 @@ def profile(
     x = np.zeros((k, m + q))
     for _ in range(ITERATIONS):
         x = _bounded(*quadratic.weighted(x, prior), low, high, m)
-    _, S = quadratic.noise(x)
-    log_likelihood = -0.5 * (quadratic.count @ np.log(S)) - 0.5 * np.sum(x[:, :m] ** 2, axis=1)
+    log_likelihood = quadratic.log_likelihood(x) - 0.5 * np.sum(x[:, :m] ** 2, axis=1)
     A, _ = quadratic.weighted(x, prior)
     cross = A[:, m:, :m]
     information = A[:, m:, m:] - cross @ np.linalg.solve(A[:, :m, :m], np.swapaxes(cross, 1, 2))
@@ -263,9 +272,14 @@ def _ar1(
     return rho, np.maximum(np.sum(_kinds(rho) * left, axis=0) / count, LEAST_VARIANCE)
 
 
+def _regular(A: Float[np.ndarray, "k n n"]) -> Float[np.ndarray, "k n n"]:
+    """A with a little on its diagonal."""
+    return A + 1e-12 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(A.shape[1])
+
+
 def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m: int) -> np.ndarray:
     """Solutions of A x = g whose last entries lie within their bounds, the others at their best given those."""
-    A = A + 1e-12 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(A.shape[1])
+    A = _regular(A)
     x = np.linalg.solve(A, g[..., None])[..., 0]
     size = np.clip(x[:, m:], low, high)
     rest = g[:, :m] - np.einsum("kij,kj->ki", A[:, :m, m:], size)
@@ -280,61 +294,93 @@ def score(
     *,
     rng: np.random.Generator,
     draws: int = DRAWS,
+    together: Sequence[Sequence[int]] = (),
 ) -> Scores:
-    """Scores of `changes` (per unit of a size that the prior bounds between low and high) at a fit."""
+    """Scores of `changes` (per unit of a size that the prior bounds between low and high) at a fit, and of those rows
+    of them that are also tested `together`, at any size."""
     about = Linearised.of(fit)
     none = profile(about, changes[None, :0], np.zeros((1, 0)), np.zeros((1, 0)))
     each = profile(about, changes[:, None], low[:, None], high[:, None])
     gain = np.maximum(each.log_likelihood - none.log_likelihood, 0.0)
     information = np.maximum(each.information[:, 0, 0], 1e-12)
-    return Scores(gain, each.size[:, 0], information, low, high, _null(about, changes, low, high, rng, draws))
+    left = Left.of(about, changes, low, high, together)
+    _, gained = left.scores(about.residual)
+    drawn = [left.scores(about.drawn(int(n), rng)) for n in np.diff([*range(0, draws, CHUNK), draws])]
+    null = np.concatenate([np.zeros((0, len(changes))), *(singles for singles, _ in drawn)])
+    groups = np.concatenate([np.zeros((0, len(together))), *(gains for _, gains in drawn)])
+    tested = tuple(Group(float(one), noise) for one, noise in zip(gained[0], groups.T, strict=True))
+    return Scores(gain, each.size[:, 0], information, low, high, null, tested)
 
 
-def _null(
-    about: Linearised,
-    changes: Float[np.ndarray, "k channels time"],
-    low: np.ndarray,
-    high: np.ndarray,
-    rng: np.random.Generator,
-    draws: int,
-) -> Float[np.ndarray, "draws k"]:
-    """Scores of drawn noise, after the fit has absorbed what it can and the noise has been estimated again.
+@dataclass(frozen=True)
+class Left:
+    """What a fit leaves of directions once it has absorbed what it can, which is what drawn noise is scored by.
 
-    In single precision, which is a thousand times finer than what the number of draws leaves uncertain.
+    `single` (k, channels, time), in single precision, which is a thousand times finer than what the number of draws
+    leaves uncertain; `squares` of each; sizes within `low` and `high`; `groups` of rows with the products among them.
     """
-    G = about.absorbed(np.nan_to_num(changes))
-    scale = np.sqrt(np.maximum(np.mean(G**2, axis=(1, 2)), LEAST_VARIANCE))
-    G, low, high = (G / scale[:, None, None]).astype(np.float32), low * scale, high * scale
-    gg = about.squares(G)[:, :, None].astype(float)
-    count = np.array([float(max(len(pair), 1)) for pair in about.pairs])
-    found = []
-    for n in np.diff([*range(0, draws, CHUNK), draws]):
-        e = about.absorbed(about.drawn(int(n), rng))
-        ee, eg = about.squares(e)[..., None], about.products(e.astype(np.float32), G).astype(float)
-        found.append(_null_scores(ee, eg, gg, count, about.largest_rho, low, high))
-    return np.concatenate(found) if found else np.zeros((0, len(G)))
 
+    about: Linearised
+    single: Float[np.ndarray, "k channels time"]
+    squares: Float[np.ndarray, "3 channels 1 k"]
+    low: Float[np.ndarray, " k"]
+    high: Float[np.ndarray, " k"]
+    groups: list[tuple[Sequence[int], Products]]
 
-def _null_scores(
-    ee: Float[np.ndarray, "3 channels n 1"],
-    eg: Float[np.ndarray, "3 channels n k"],
-    gg: Float[np.ndarray, "3 channels 1 k"],
-    count: Float[np.ndarray, " channels"],
-    largest_rho: float,
-    low: Float[np.ndarray, " k"],
-    high: Float[np.ndarray, " k"],
-) -> Float[np.ndarray, "n k"]:
-    """Directed scores of series e by single directions g, the noise estimated at each size, as `profile` does."""
+    @classmethod
+    def of(
+        cls,
+        about: Linearised,
+        changes: Float[np.ndarray, "k channels time"],
+        low: Float[np.ndarray, " k"],
+        high: Float[np.ndarray, " k"],
+        together: Sequence[Sequence[int]],
+    ) -> "Left":
+        """Of directions whose sizes are within low and high, in units in which all of them are as large."""
+        G = about.absorbed(np.nan_to_num(changes))
+        scale = np.sqrt(np.maximum(np.mean(G**2, axis=(1, 2)), LEAST_VARIANCE))
+        G = G / scale[:, None, None]
+        single, groups = G.astype(np.float32), [(rows, about.products(G[rows], G[rows])) for rows in together]
+        squares = about.squares(single)[:, :, None].astype(float)
+        return cls(about, single, squares, low * scale, high * scale, groups)
 
-    def noise(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return _ar1(ee - 2.0 * size * eg + size**2 * gg, count[:, None, None], largest_rho)
+    def scores(
+        self, series: Float[np.ndarray, "n channels time"]
+    ) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n groups"]]:
+        """Directed scores of series by each direction, and log likelihoods that groups of them gain.
 
-    size = np.zeros(eg.shape[2:])
-    none = np.tensordot(count, np.log(noise(size)[1]), 1)
-    for _ in range(ITERATIONS):
-        rho, S = noise(size)
-        weight = _kinds(rho) / S
-        information = np.maximum(np.sum(weight * gg, axis=(0, 1)), 1e-12)
-        size = np.clip(np.sum(weight * eg, axis=(0, 1)) / information, low, high)
-    gain = 0.5 * (none - np.tensordot(count, np.log(noise(size)[1]), 1))
-    return np.sign(size) * np.sqrt(2.0 * np.maximum(gain, 0.0))
+        The fit absorbs of the series what it can, and the noise is estimated again at each size, as in `profile`.
+        """
+        e = self.about.absorbed(series)
+        ee, eg = self.about.squares(e), self.about.products(e.astype(np.float32), self.single).astype(float)
+        gains = [self._gain(ee, eg[..., rows], gg) for rows, gg in self.groups]
+        return self._each(ee[..., None], eg), np.stack(gains, axis=1) if gains else np.zeros((len(e), 0))
+
+    def _each(
+        self, ee: Float[np.ndarray, "3 channels n 1"], eg: Float[np.ndarray, "3 channels n k"]
+    ) -> Float[np.ndarray, "n k"]:
+        count = self.about.count
+
+        def noise(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            left = ee - 2.0 * size * eg + size**2 * self.squares
+            return _ar1(left, count[:, None, None], self.about.largest_rho)
+
+        size = np.zeros(eg.shape[2:])
+        none = np.tensordot(count, np.log(noise(size)[1]), 1)
+        for _ in range(ITERATIONS):
+            rho, S = noise(size)
+            weight = _kinds(rho) / S
+            information = np.maximum(np.sum(weight * self.squares, axis=(0, 1)), 1e-12)
+            size = np.clip(np.sum(weight * eg, axis=(0, 1)) / information, self.low, self.high)
+        gain = 0.5 * (none - np.tensordot(count, np.log(noise(size)[1]), 1))
+        return np.sign(size) * np.sqrt(2.0 * np.maximum(gain, 0.0))
+
+    def _gain(self, ee: Float[np.ndarray, "3 channels n"], eg: Float[np.ndarray, "3 channels n q"], gg: Products):
+        n, q = eg.shape[2:]
+        H = np.broadcast_to(gg[:, :, None], (*gg.shape[:2], n, q, q))
+        quadratic = Quadratic(H, eg, ee, self.about.count, self.about.largest_rho)
+        none, x = quadratic.log_likelihood(np.zeros((n, q))), np.zeros((n, q))
+        for _ in range(ITERATIONS):
+            A, g = quadratic.weighted(x, np.zeros((q, q)))
+            x = np.linalg.solve(_regular(A), g[..., None])[..., 0]
+        return np.maximum(quadratic.log_likelihood(x) - none, 0.0)

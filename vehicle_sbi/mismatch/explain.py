@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.mismatch.candidates import Direction, null, within
-from vehicle_sbi.mismatch.detect import Group, Linearised, Scores, gained, profile, score
+from vehicle_sbi.mismatch.detect import Linearised, Scores, profile, score
 from vehicle_sbi.mismatch.fit import Fit, descend, with_own_noise
 from vehicle_sbi.mismatch.laws import Law, under
 from vehicle_sbi.mismatch.locate import Block
@@ -71,24 +71,23 @@ class Joint:
 class Examined:
     """A model with everything that it leaves out, and the scores of it all.
 
-    `stretches` are each channel's blocks of time together, `joint` are effects that have several directions.
+    Each channel's blocks of time are scored together too; `joint` are effects that have several directions.
     """
 
     model: Model
     free: Inventory
     scores: Scores
-    stretches: list[Group]
     joint: dict[str, Joint]
 
     @cached_property
     def p_value(self) -> float:
         """How often noise alone would leave as much over."""
-        return self.scores.p_value(self.stretches)
+        return self.scores.p_value()
 
     @cached_property
     def p_adequate(self) -> float:
         """The same, beyond what no model gets right."""
-        return self.scores.p_value(self.stretches, tolerated=TOLERANCE * self.model.explained)
+        return self.scores.p_value(tolerated=TOLERANCE * self.model.explained)
 
     @property
     def share_explained(self) -> float:
@@ -117,24 +116,24 @@ def examine(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> E
     free = repertoire.beyond(model.fit)
     about = Linearised.of(model.fit)
     free = free.ruled_by(about.coherence(free.ruled, free.named).max(axis=1, initial=0.0) < ALIKE)
-    scores = score(model.fit, free.changes, *free.of.bounds, rng=rng)
-    return Examined(model, free.of, scores, _stretches(about, free), _joint(about, free, scores))
+    scores = score(model.fit, free.changes, *free.of.bounds, rng=rng, together=_stretches(free.of))
+    return Examined(model, free.of, scores, _joint(about, free, scores))
 
 
 def glance(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Examined:
     """The same of directions alone and without a null: enough to say which effects promise most."""
     free = repertoire.beyond(model.fit).alone()
     scores = score(model.fit, free.changes, *free.of.bounds, rng=rng, draws=0)
-    return Examined(model, free.of, scores, [], _joint(Linearised.of(model.fit), free, scores))
+    return Examined(model, free.of, scores, _joint(Linearised.of(model.fit), free, scores))
 
 
-def _stretches(about: Linearised, free: Repertoire) -> list[Group]:
-    """The blocks of time of each channel together."""
-    groups, first = [], free.of.of_blocks.start
-    for channel in dict.fromkeys(block.channel for block in free.of.blocks):
-        rows = [k for k, block in enumerate(free.of.blocks) if block.channel == channel and not block.regime]
-        groups.append(Group([first + k for k in rows], gained(about, free.bumps[rows])))
-    return groups
+def _stretches(free: Inventory) -> list[list[int]]:
+    """Rows of the blocks of time of each channel."""
+    rows: dict[str, list[int]] = {}
+    for k, block in enumerate(free.blocks, start=free.of_blocks.start):
+        if not block.regime:
+            rows.setdefault(block.channel, []).append(k)
+    return [*rows.values()]
 
 
 def _by_effect(found: Sequence[Direction]) -> dict[str, dict[str, list[int]]]:
