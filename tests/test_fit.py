@@ -9,6 +9,9 @@ from scipy.stats import multivariate_normal
 
 from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.mismatch.fit import Fit, Metric, Observation, best, linearise, with_own_noise
+from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
+from vehicle_sbi.physics.single_track import INPUTS
 
 
 def short(rho: float):
@@ -96,3 +99,16 @@ def test_a_parameter_on_the_rim_of_its_box_does_not_count_as_inside() -> None:
     tight = replace(sim, space=replace(sim.space, parameters=(narrow, *sim.space.parameters[1:])))
     fit = best(Observation(tight, far, False), (tight.space.low + tight.space.high)[None] / 2)
     assert fit.inside.tolist()[0] is False
+
+
+@pytest.mark.parametrize("delay", [0.033, 0.166])
+def test_a_dead_time_is_found_from_afar(delay: float) -> None:
+    # A jerky drive, whose a_x a shift by two samples makes unlike itself; from the middle of the box, at 0.1 s, steps
+    # lead to the nearest sample only. Where it is found, it is to four standard deviations.
+    sim = lateral()
+    u = sim.windows.u.copy()
+    u[..., INPUTS.index("v_x_dot")] = np.random.default_rng(3).normal(0.0, 1.0, u.shape[:2])
+    sim = replace(sim, windows=replace(sim.windows, u=u))
+    wider = replace(sim, space=ParameterSpace((*sim.space.parameters, EFFECT_PARAMETERS["sensor_delay.imu"])))
+    fit = fitted(recorded(sim, sensor_delay__imu=delay).extended(wider))
+    assert fit.theta[-1] == pytest.approx(delay, abs=4 * np.sqrt(fit.covariance[-1, -1]))

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from vehicle_sbi.mismatch.candidates import Direction, null, within
 from vehicle_sbi.mismatch.detect import Linearised, Scores, profile, score
-from vehicle_sbi.mismatch.fit import Fit, descend, with_own_noise
+from vehicle_sbi.mismatch.fit import Fit, descend, likeliest, with_own_noise
 from vehicle_sbi.mismatch.laws import Law, under
 from vehicle_sbi.mismatch.locate import Block
 from vehicle_sbi.mismatch.repertoire import Inventory, Repertoire
@@ -198,7 +198,7 @@ def extended(model: Model, version: Version) -> Model | None:
     added = [boxes[p.name] for p in version.start]
     wider = replace(simulator, space=ParameterSpace((*simulator.space.parameters, *added)))
     start = np.concatenate([model.fit.theta, list(version.start.values())])
-    found = descend(model.fit.observation.extended(wider), start, STEPS)
+    found = likeliest(model.fit.observation.extended(wider), start, STEPS)
     if found is None:
         return None
     fit = with_own_noise(found, NOISE_ROUNDS, STEPS)

@@ -25,6 +25,7 @@ STEP = 1e-3  # of the prior's width or of an initial state's standard deviation,
 DAMPING = 1e-3  # information in units of the prior that keeps directions which nothing sees from running away
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tried
 MOST_STEPS = 15
+DEAD_TIMES = (0.125, 0.375, 0.625, 0.875)  # of its box, where a dead time starts too
 CONVERGED = 0.01  # decrease of half the sum of squares, which is log likelihood, at which a fit ends
 NOISE_ROUNDS = 4  # of fit and noise at most
 MEMORY_S = 0.5  # [s], the correlation time of noise at most: what is slower is physics, or a sensor that drifts
@@ -225,6 +226,23 @@ def descend(observation: Observation, start: Float[np.ndarray, " d"], steps: int
     return onwards(fit, steps) if np.isfinite(fit.at.y).all() else None
 
 
+def likeliest(observation: Observation, start: Float[np.ndarray, " d"], steps: int = MOST_STEPS) -> Fit | None:
+    """The best of what is found from `start` and from there with each dead time elsewhere in its box.
+
+    A series that is linear between samples has a kink in its derivative by a dead time at every whole sample, and a
+    rough one (acceleration from a measured speed) an optimum near each.
+    """
+    space, starts = observation.simulator.space, [start]
+    for k, name in enumerate(space.names):
+        if name.split(".")[0].endswith("_delay"):
+            for share in DEAD_TIMES:
+                moved = start.copy()
+                moved[k] = space.low[k] + share * (space.high[k] - space.low[k])
+                starts.append(moved)
+    fits = [fit for one in starts if (fit := descend(observation, one, steps)) is not None]
+    return max(fits, key=lambda fit: fit.log_likelihood, default=None)
+
+
 def onwards(fit: Fit, steps: int) -> Fit:
     """From a fit to the optimum, as far as so many steps go.
 
@@ -264,7 +282,7 @@ def best(observation: Observation, starts: Float[np.ndarray, "n d"]) -> Fit:
     simulator = observation.simulator
     white = simulator.with_noise(replace(simulator.noise, rho=np.zeros_like(simulator.noise.rho)))
     first = observation.extended(white if observation.estimated else simulator)
-    fits = [fit for start in starts if (fit := descend(first, start)) is not None]
+    fits = [fit for start in starts if (fit := likeliest(first, start)) is not None]
     if not fits:
         raise InputError("the simulation fails wherever a fit was tried; narrow the prior")
     return with_own_noise(max(fits, key=lambda fit: fit.log_likelihood))
