@@ -257,6 +257,11 @@ def _at(snr: float, column: str = "snr") -> Callable[[pd.DataFrame], pd.Series]:
     return lambda t: _kind("single", "outside")(t) & (2 ** np.round(np.log2(t[column].clip(lower=1e-9))) == snr)
 
 
+def _pair_at(snr: float) -> Callable[[pd.DataFrame], pd.Series]:
+    """Detected pairs of which neither effect is nearer to a lower ratio than `snr` once the other is fitted."""
+    return lambda t: _kind("pair", detected=True)(t) & (t["snr_beyond"] > snr / math.sqrt(2.0))
+
+
 def _only(levels: Sequence[str], among: Callable[[pd.DataFrame], pd.Series]) -> Callable[[pd.DataFrame], pd.Series]:
     return lambda t: among(t) & t["level"].isin(levels)
 
@@ -274,6 +279,7 @@ METRICS = (
     Metric("wrong name, truth outside the catalogue", _kind("outside"), "wrong_name", "0.10"),
     Metric("unknown said, SNR 16 and more", lambda t: _kind("outside")(t) & (t["snr"] > 15), "said_unknown", "0.80"),
     Metric("both of a pair, given detected", _kind("pair", detected=True), "both", "0.80"),
+    Metric("both, the weaker at SNR 8 beyond the other", _pair_at(8.0), "both", "0.80"),
     Metric("at least half of a pair, given detected", _kind("pair", detected=True), "one_of_pair"),
     Metric("overlap (IoU) of a time-local effect", _kind("single", "outside", detected=True), "iou", "0.80"),
     Metric("its onset's error [s]", _kind("single", "outside", detected=True), "onset_error", "0.1"),
