@@ -61,11 +61,10 @@ CASES: dict[str, tuple[DensityEstimator, Features, Scheme]] = {
     "nsf, score, truncated": (NeuralSplineFlow(), Score(), TRUNCATED),
     "mdn, score, truncated": (MixtureDensityNetwork(), Score(), TRUNCATED),
     "zuko_maf, score, truncated": (MaskedAutoregressiveFlow(model="zuko_maf"), Score(), TRUNCATED),
-    "nsf, score, corrected": (NeuralSplineFlow(), Score(), Corrected()),
     "nsf, handcrafted, truncated": (NeuralSplineFlow(), Handcrafted(), TRUNCATED),
     "nsf, score, amortised": (NeuralSplineFlow(), Score(), Amortised()),
-    "mdn, score, corrected": (MixtureDensityNetwork(), Score(), Corrected()),
     "mdn, embedding, truncated": (MixtureDensityNetwork(), Embedding(), TRUNCATED),
+    "nsf, score, corrected": (NeuralSplineFlow(), Score(), Corrected()),
 }
 
 
