@@ -43,7 +43,7 @@ def summary(table: pd.DataFrame, choice: str) -> pd.DataFrame:
     )
     by = table.groupby([choice, "parameter"], sort=False)
     return by.agg(
-        true=("true", lambda true: true.iloc[0] if true.nunique() == 1 else "drawn"),
+        true=("true", lambda true: true.iloc[0] if true.nunique() <= 1 else "drawn"),
         mean=("mean", "mean"),
         error=("error", "mean"),
         std=("std", "mean"),

@@ -41,7 +41,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
                 of_axis = table["parameter"].isin([f"imu_lever_arm.{name}", f"imu_{name}"])
                 errors(axis, table[(table["prior"] == prior) & of_axis])
                 axis.set_xlabel(f"{name}, estimate less truth [cm]")
-            row[0].set_ylabel(f"{setting}\nten drives")
+            row[0].set_ylabel(f"{setting}\n{table.seed.nunique()} drives")
         save(figure, path, [key("truth", TRUTH), key("mean and 90 % interval", POSTERIOR, marker="o")])
 
 

@@ -242,19 +242,26 @@ def test_reference_does_not_depend_on_its_integrator() -> None:
 
 
 def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A car anywhere in the boxes of constants and effects, in a state inside the model's range, and its inputs."""
+    """A car anywhere in the boxes of constants and effects, in a state inside the model's range, and its inputs.
+
+    Half of them slip so little that tyres grip, and one in four has neither of the effects by which a load would then
+    change their forces.
+    """
 
     def within(p: Parameter) -> float:
         return rng.uniform(p.low, p.high)
 
     fields = {field: within(p) for p in (*GENERIC_PRIORS.values(), *EFFECT_PARAMETERS.values()) for field in p.fields}
     records = record_of(PAPER, **fields)
+    for field in ("load_sensitivity_coefficient", "tyre_curve_peak"):
+        records[field] *= rng.integers(2)
     records["C_vert"] = rng.uniform(2e5, 4e5)
     records["K"] = rng.uniform(5e4, 5e5) if relaxed else math.inf
     v_x = rng.uniform(3.0, 40.0)
     radius = records["R_f"][0]
     wheel = v_x / radius * rng.uniform(0.8, 1.2, 2)
-    slips, angles = rng.uniform(-0.3, 0.3, 2), rng.uniform(-0.2, 0.2, 2)
+    much = rng.choice([1.0, 0.03])
+    slips, angles = much * rng.uniform(-0.3, 0.3, 2), much * rng.uniform(-0.2, 0.2, 2)
     state = np.array([v_x, *rng.uniform(-0.5, 0.5, 2), *wheel, *slips, *angles])
     records["duration"], t = rng.uniform(3.0, 10.0), rng.uniform(0.0, 12.0)
     u = np.array([rng.uniform(-0.3, 0.3), *rng.uniform(-2000, 2000, 2), v_x, rng.uniform(-3, 3), *wheel, t, 0.0])

@@ -258,7 +258,7 @@ def _at(snr: float, column: str = "snr") -> Callable[[pd.DataFrame], pd.Series]:
 
 
 def _pair_at(snr: float) -> Callable[[pd.DataFrame], pd.Series]:
-    """Detected pairs of which neither effect is nearer to a lower ratio than `snr` once the other is fitted."""
+    """Detected pairs whose weaker effect has about `snr` or more beyond the other."""
     return lambda t: _kind("pair", detected=True)(t) & (t["snr_beyond"] > snr / math.sqrt(2.0))
 
 
@@ -279,7 +279,7 @@ METRICS = (
     Metric("wrong name, truth outside the catalogue", _kind("outside"), "wrong_name", "0.10"),
     Metric("unknown said, SNR 16 and more", lambda t: _kind("outside")(t) & (t["snr"] > 15), "said_unknown", "0.80"),
     Metric("both of a pair, given detected", _kind("pair", detected=True), "both", "0.80"),
-    Metric("both, the weaker at SNR 8 beyond the other", _pair_at(8.0), "both", "0.80"),
+    Metric("both, the weaker at SNR 8 and more beyond the other", _pair_at(8.0), "both", "0.80"),
     Metric("at least half of a pair, given detected", _kind("pair", detected=True), "one_of_pair"),
     Metric("overlap (IoU) of a time-local effect", _kind("single", "outside", detected=True), "iou", "0.80"),
     Metric("its onset's error [s]", _kind("single", "outside", detected=True), "onset_error", "0.1"),

@@ -227,6 +227,15 @@ class Quadratic:
         """Of what is left over at x under its own noise, up to a constant."""
         return -0.5 * (self.count @ np.log(self.noise(x)[1]))
 
+    def solved(
+        self, prior: Float[np.ndarray, "n n"], low: Float[np.ndarray, "#k q"], high: Float[np.ndarray, "#k q"]
+    ) -> Float[np.ndarray, "k n"]:
+        """The likeliest x under noise of its own, both in turn; the last q sizes lie within low and high."""
+        x = np.zeros(self.b.shape[2:])
+        for _ in range(ITERATIONS):
+            x = _bounded(*self.weighted(x, prior), low, high, x.shape[1] - low.shape[1])
+        return x
+
     def weighted(
         self, x: Float[np.ndarray, "k n"], prior: Float[np.ndarray, "n n"]
     ) -> tuple[Float[np.ndarray, "k n n"], Float[np.ndarray, "k n"]]:
@@ -240,11 +249,9 @@ def profile(
     about: Linearised, changes: Float[np.ndarray, "k q channels time"], low: np.ndarray, high: np.ndarray
 ) -> Profiled:
     """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best."""
-    (k, q), m = changes.shape[:2], len(about.J)
+    q, m = changes.shape[1], len(about.J)
     quadratic, prior = Quadratic.of(about, changes), np.diag(np.repeat([1.0, 0.0], [m, q]))
-    x = np.zeros((k, m + q))
-    for _ in range(ITERATIONS):
-        x = _bounded(*quadratic.weighted(x, prior), low, high, m)
+    x = quadratic.solved(prior, low, high)
     log_likelihood = quadratic.log_likelihood(x) - 0.5 * np.sum(x[:, :m] ** 2, axis=1)
     A, _ = quadratic.weighted(x, prior)
     cross = A[:, m:, :m]
@@ -272,14 +279,9 @@ def _ar1(
     return rho, np.maximum(np.sum(_kinds(rho) * left, axis=0) / count, LEAST_VARIANCE)
 
 
-def _regular(A: Float[np.ndarray, "k n n"]) -> Float[np.ndarray, "k n n"]:
-    """A with a little on its diagonal."""
-    return A + 1e-12 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(A.shape[1])
-
-
 def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m: int) -> np.ndarray:
     """Solutions of A x = g whose last entries lie within their bounds, the others at their best given those."""
-    A = _regular(A)
+    A = A + 1e-12 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(A.shape[1])
     x = np.linalg.solve(A, g[..., None])[..., 0]
     size = np.clip(x[:, m:], low, high)
     rest = g[:, :m] - np.einsum("kij,kj->ki", A[:, :m, m:], size)
@@ -303,29 +305,32 @@ def score(
     each = profile(about, changes[:, None], low[:, None], high[:, None])
     gain = np.maximum(each.log_likelihood - none.log_likelihood, 0.0)
     information = np.maximum(each.information[:, 0, 0], 1e-12)
-    left = Left.of(about, changes, low, high, together)
-    _, gained = left.scores(about.residual)
-    drawn = [left.scores(about.drawn(int(n), rng)) for n in np.diff([*range(0, draws, CHUNK), draws])]
-    null = np.concatenate([np.zeros((0, len(changes))), *(singles for singles, _ in drawn)])
-    groups = np.concatenate([np.zeros((0, len(together))), *(gains for _, gains in drawn)])
-    tested = tuple(Group(float(one), noise) for one, noise in zip(gained[0], groups.T, strict=True))
-    return Scores(gain, each.size[:, 0], information, low, high, null, tested)
+    singles, groups = Singles.of(about, changes, low, high), [Together.of(about, changes[[*rows]]) for rows in together]
+    observed = about.absorbed(about.residual)
+    gained_here = [float(group.gains(observed)[0]) for group in groups]
+    scored, gained_there = [np.zeros((0, len(changes)))], [[np.zeros(0)] for _ in groups]
+    for n in np.diff([*range(0, draws, CHUNK), draws]):
+        drawn = about.absorbed(about.drawn(int(n), rng))
+        scored.append(singles.scores(drawn))
+        for group, gains in zip(groups, gained_there, strict=True):
+            gains.append(group.gains(drawn))
+    tested = tuple(Group(one, np.concatenate(many)) for one, many in zip(gained_here, gained_there, strict=True))
+    return Scores(gain, each.size[:, 0], information, low, high, np.concatenate(scored), tested)
 
 
 @dataclass(frozen=True)
-class Left:
-    """What a fit leaves of directions once it has absorbed what it can, which is what drawn noise is scored by.
+class Singles:
+    """What a fit leaves of directions once it has absorbed what it can, to score drawn noise by, one at a time.
 
-    `single` (k, channels, time), in single precision, which is a thousand times finer than what the number of draws
-    leaves uncertain; `squares` of each; sizes within `low` and `high`; `groups` of rows with the products among them.
+    `left` (k, channels, time) in single precision, which is a thousand times finer than what the number of draws leaves
+    uncertain, and in units in which all of them are as large; `squares` of each; sizes within `low` and `high`.
     """
 
     about: Linearised
-    single: Float[np.ndarray, "k channels time"]
+    left: Float[np.ndarray, "k channels time"]
     squares: Float[np.ndarray, "3 channels 1 k"]
     low: Float[np.ndarray, " k"]
     high: Float[np.ndarray, " k"]
-    groups: list[tuple[Sequence[int], Products]]
 
     @classmethod
     def of(
@@ -334,36 +339,22 @@ class Left:
         changes: Float[np.ndarray, "k channels time"],
         low: Float[np.ndarray, " k"],
         high: Float[np.ndarray, " k"],
-        together: Sequence[Sequence[int]],
-    ) -> "Left":
-        """Of directions whose sizes are within low and high, in units in which all of them are as large."""
+    ) -> "Singles":
+        """Of directions whose sizes are within low and high."""
         G = about.absorbed(np.nan_to_num(changes))
         scale = np.sqrt(np.maximum(np.mean(G**2, axis=(1, 2)), LEAST_VARIANCE))
-        G = G / scale[:, None, None]
-        single, groups = G.astype(np.float32), [(rows, about.products(G[rows], G[rows])) for rows in together]
-        squares = about.squares(single)[:, :, None].astype(float)
-        return cls(about, single, squares, low * scale, high * scale, groups)
+        left = (G / scale[:, None, None]).astype(np.float32)
+        return cls(about, left, about.squares(left)[:, :, None].astype(float), low * scale, high * scale)
 
-    def scores(
-        self, series: Float[np.ndarray, "n channels time"]
-    ) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n groups"]]:
-        """Directed scores of series by each direction, and log likelihoods that groups of them gain.
-
-        The fit absorbs of the series what it can, and the noise is estimated again at each size, as in `profile`.
-        """
-        e = self.about.absorbed(series)
-        ee, eg = self.about.squares(e), self.about.products(e.astype(np.float32), self.single).astype(float)
-        gains = [self._gain(ee, eg[..., rows], gg) for rows, gg in self.groups]
-        return self._each(ee[..., None], eg), np.stack(gains, axis=1) if gains else np.zeros((len(e), 0))
-
-    def _each(
-        self, ee: Float[np.ndarray, "3 channels n 1"], eg: Float[np.ndarray, "3 channels n k"]
-    ) -> Float[np.ndarray, "n k"]:
+    def scores(self, e: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, "n k"]:
+        """Directed scores of absorbed series, the noise estimated again at each size, as in `profile`."""
+        ee = self.about.squares(e)[..., None]
+        eg = self.about.products(e.astype(np.float32), self.left).astype(float)
         count = self.about.count
 
         def noise(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            left = ee - 2.0 * size * eg + size**2 * self.squares
-            return _ar1(left, count[:, None, None], self.about.largest_rho)
+            over = ee - 2.0 * size * eg + size**2 * self.squares
+            return _ar1(over, count[:, None, None], self.about.largest_rho)
 
         size = np.zeros(eg.shape[2:])
         none = np.tensordot(count, np.log(noise(size)[1]), 1)
@@ -375,12 +366,27 @@ class Left:
         gain = 0.5 * (none - np.tensordot(count, np.log(noise(size)[1]), 1))
         return np.sign(size) * np.sqrt(2.0 * np.maximum(gain, 0.0))
 
-    def _gain(self, ee: Float[np.ndarray, "3 channels n"], eg: Float[np.ndarray, "3 channels n q"], gg: Products):
-        n, q = eg.shape[2:]
-        H = np.broadcast_to(gg[:, :, None], (*gg.shape[:2], n, q, q))
-        quadratic = Quadratic(H, eg, ee, self.about.count, self.about.largest_rho)
-        none, x = quadratic.log_likelihood(np.zeros((n, q))), np.zeros((n, q))
-        for _ in range(ITERATIONS):
-            A, g = quadratic.weighted(x, np.zeros((q, q)))
-            x = np.linalg.solve(_regular(A), g[..., None])[..., 0]
-        return np.maximum(quadratic.log_likelihood(x) - none, 0.0)
+
+@dataclass(frozen=True)
+class Together:
+    """What a fit leaves of q directions, to test all of them at once, with their products."""
+
+    about: Linearised
+    left: Float[np.ndarray, "q channels time"]
+    products: Products
+
+    @classmethod
+    def of(cls, about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> "Together":
+        left = about.absorbed(np.nan_to_num(changes))
+        return cls(about, left, about.products(left, left))
+
+    def gains(self, e: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, " n"]:
+        """Log likelihood that all directions gain in each absorbed series, at any size, under noise of its own."""
+        n, q = len(e), len(self.left)
+        H = np.broadcast_to(self.products[:, :, None], (*self.products.shape[:2], n, q, q))
+        over = Quadratic(
+            H, self.about.products(e, self.left), self.about.squares(e), self.about.count, self.about.largest_rho
+        )
+        free = np.full((1, q), np.inf)
+        x = over.solved(np.zeros((q, q)), -free, free)
+        return np.maximum(over.log_likelihood(x) - over.log_likelihood(np.zeros_like(x)), 0.0)

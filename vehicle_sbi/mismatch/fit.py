@@ -20,12 +20,12 @@ from scipy.optimize import lsq_linear
 from vehicle_sbi.data.noise import MeasurementNoise, from_residual
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.physics.effects import DEAD_TIMES
 
 STEP = 1e-3  # of the prior's width or of an initial state's standard deviation, for differences
 DAMPING = 1e-3  # information in units of the prior that keeps directions which nothing sees from running away
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tried
 MOST_STEPS = 15
-DEAD_TIMES = (0.125, 0.375, 0.625, 0.875)  # of its box, where a dead time starts too
 CONVERGED = 0.01  # decrease of half the sum of squares, which is log likelihood, at which a fit ends
 NOISE_ROUNDS = 4  # of fit and noise at most
 MEMORY_S = 0.5  # [s], the correlation time of noise at most: what is slower is physics, or a sensor that drifts
@@ -227,20 +227,30 @@ def descend(observation: Observation, start: Float[np.ndarray, " d"], steps: int
 
 
 def likeliest(observation: Observation, start: Float[np.ndarray, " d"], steps: int = MOST_STEPS) -> Fit | None:
-    """The best of what is found from `start` and from there with each dead time elsewhere in its box.
+    """The optimum that Gauss-Newton finds from `start`, or from there with a dead time elsewhere, if that is likelier.
 
     A series that is linear between samples has a kink in its derivative by a dead time at every whole sample, and a
     rough one (acceleration from a measured speed) an optimum near each.
     """
-    space, starts = observation.simulator.space, [start]
-    for k, name in enumerate(space.names):
-        if name.split(".")[0].endswith("_delay"):
-            for share in DEAD_TIMES:
-                moved = start.copy()
-                moved[k] = space.low[k] + share * (space.high[k] - space.low[k])
-                starts.append(moved)
-    fits = [fit for one in starts if (fit := descend(observation, one, steps)) is not None]
-    return max(fits, key=lambda fit: fit.log_likelihood, default=None)
+    fit = descend(observation, start, steps)
+    for k, name in enumerate(observation.simulator.space.names if fit is not None else ()):
+        if fit is not None and name in DEAD_TIMES:
+            moved = descend(observation, elsewhere(fit, k), steps)
+            fit = moved if moved is not None and moved.log_likelihood > fit.log_likelihood else fit
+    return fit
+
+
+def elsewhere(fit: Fit, k: int) -> Float[np.ndarray, " d"]:
+    """theta with dead time k where in its box the model fits best, the other parameters following at first order."""
+    space, windows = fit.simulator.space, fit.simulator.windows
+    tried = np.arange(space.low[k], space.high[k], 0.5 / windows.rate)
+    points = np.repeat(fit.theta[None], len(tried), axis=0)
+    points[:, k] = tried
+    off = np.where(windows.valid, fit.observation.observed - fit.simulator.noise_free(points), 0.0)
+    r = fit.metric(np.nan_to_num(off)).reshape(len(tried), -1)
+    followed, _ = np.linalg.qr(np.delete(fit.metric(fit.at.J), k, axis=0).reshape(len(fit.theta) - 1, -1).T)
+    left = np.sum(r**2, axis=1) - np.sum((r @ followed) ** 2, axis=1)
+    return points[int(np.argmin(np.where(np.isfinite(off).all(axis=(1, 2)), left, np.inf)))]
 
 
 def onwards(fit: Fit, steps: int) -> Fit:

@@ -75,9 +75,9 @@ def settled(forces, p, car, a_x: float, a_y: float):
     """What `forces(p, car, front, a_x, a_y)` finds at the accelerations [m/s^2] that it causes, where the front wheels
     point then, and these accelerations.
 
-    `forces` returns accelerations a_x, a_y, whether they are `settled`, so that it would find the same under them, and
-    the front axle's side force F_yf; a_x and a_y on entry are the guess from which the loop starts. Compliant wheels
-    are solved for with the tyre's slope at the origin. NaN if the loop does not end.
+    `forces` returns accelerations a_x, a_y, whether they are `final`, so that it would find the same forces under them,
+    and the front axle's side force F_yf; a_x and a_y on entry are the guess from which the loop starts. Compliant
+    wheels are solved for with the tyre's slope at the origin. NaN if the loop does not end.
     """
     slope = 1.0 + (0.0 if car.relaxed else steering_compliance(p, p.C_alpha_f))
     front, twist, iteration = pointing(car.outside.delta), 0.0, 0
@@ -87,7 +87,7 @@ def settled(forces, p, car, a_x: float, a_y: float):
         missing = steering_compliance(p, found.F_yf) - twist
         off_x, off_y, turn = found.a_x - a_x, found.a_y - a_y, missing / slope
         if abs(missing) < TWIST_TOLERANCE:
-            if found.settled:
+            if found.final:
                 return found, front, found.a_x, found.a_y
             if max(abs(off_x), abs(off_y)) < LOAD_TOLERANCE:
                 return found, front, a_x, a_y

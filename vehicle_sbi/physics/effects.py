@@ -21,6 +21,7 @@ EDGE = 0.1  # [s] over which what begins or ends at a moment does so
 KNOTS = 12  # of a profile over the recording, equally spaced
 LEAST_STIFFNESS = 0.05  # share of a stiffness that no load and no acceleration takes away
 PEAK_SHAPE = 1.5  # C of the magic formula that the tyre curve blends into
+DEAD_TIME = "pure dead time"
 RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and Vehicle Dynamics"
 
 
@@ -63,7 +64,7 @@ CATALOGUE: Mapping[str, Effect] = {
     for effect in (
         # command to wheels
         _effect("steering_delay", "command", "the wheels follow the steering command later",
-                "delta(t) = command(t - time)", "pure dead time", time=("s", 0.0, 0.3, 0.0)),
+                "delta(t) = command(t - time)", DEAD_TIME, time=("s", 0.0, 0.3, 0.0)),
         _effect("steering_lag", "command", "the wheels follow the steering command as a first-order lag",
                 "time d(delta)/dt = command - delta", "first-order actuator", time=("s", 0.0, 0.5, 0.0)),
         _effect("steering_dead_band", "command", "play in the steering, full width",
@@ -87,7 +88,7 @@ CATALOGUE: Mapping[str, Effect] = {
                 "T_f = T_f,command + shift (T_f + T_r)_command where both brake", "brake-force distribution",
                 shift=("1", -0.3, 0.3, 0.0)),
         _effect("drive_delay", "command", "the torques follow their command later",
-                "T(t) = T_command(t - time)", "pure dead time", time=("s", 0.0, 0.5, 0.0)),
+                "T(t) = T_command(t - time)", DEAD_TIME, time=("s", 0.0, 0.5, 0.0)),
         # forces on the body
         _effect("aero_drag", "force", "aerodynamic drag", "F_x = -rho/2 area v_x |v_x|",
                 f"{RAJAMANI}, sec. 4.2", area=("m^2", 0.0, 1.5, 0.0)),
@@ -162,12 +163,13 @@ CATALOGUE: Mapping[str, Effect] = {
                 "time dy/dt = signal - y", "first-order filter",
                 imu=("s", 0.0, 0.3, 0.0), can=("s", 0.0, 0.3, 0.0), wheel_speed=("s", 0.0, 0.3, 0.0)),
         _effect("sensor_delay", "sensor", "a group of sensors reports later", "y(t) = signal(t - time)",
-                "pure dead time",
+                DEAD_TIME,
                 imu=("s", 0.0, 0.2, 0.0), can=("s", 0.0, 0.2, 0.0), wheel_speed=("s", 0.0, 0.2, 0.0)),
     )
 }  # fmt: skip
 
 EFFECT_PARAMETERS: Mapping[str, Parameter] = {p.name: p for effect in CATALOGUE.values() for p in effect.parameters}
+DEAD_TIMES = tuple(p.name for e in CATALOGUE.values() if e.source == DEAD_TIME for p in e.parameters)
 _EFFECT_FIELDS = tuple(name for p in EFFECT_PARAMETERS.values() for name in p.fields)
 
 # What follows from the others and stays constant over a simulation; `derive` fills it.
@@ -561,8 +563,8 @@ def wheel_radius(p) -> tuple[float, float]:
 
 
 @compiled
-def load_is_spare(p) -> bool:
-    """Whether no effect makes the forces of a tyre that does not saturate depend on its load."""
+def ignores_load(p) -> bool:
+    """Whether the force that `tyre_force` gives below the knee is the same under any load."""
     return p.load_sensitivity_coefficient == 0.0 and p.tyre_curve_peak == 0.0
 
 

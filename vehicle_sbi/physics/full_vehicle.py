@@ -171,7 +171,7 @@ class Forces(NamedTuple):
 
     a_x: float  # [m/s^2]
     a_y: float
-    settled: bool  # whether the loads of these accelerations leave all forces exactly as they are
+    final: bool  # never: body and lateral acceleration move load as long as they change
     F_yf: float  # side force of the front axle [N]
     M_z: float  # [N m]
     roll_rate_dot: float  # [rad/s^2]

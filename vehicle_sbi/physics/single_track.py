@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import load_is_spare, tyre_force
+from vehicle_sbi.physics.effects import ignores_load, tyre_force
 from vehicle_sbi.physics.tyre import effective_radius, grips
 
 TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2
@@ -104,7 +104,7 @@ class Forces(NamedTuple):
 
     a_x: float  # [m/s^2]
     a_y: float
-    settled: bool  # whether the loads of these accelerations leave all forces exactly as they are
+    final: bool  # whether the loads of these accelerations leave all forces exactly as they are
     F_xf: float  # in the wheels' own directions [N]
     F_yf: float
     F_lateral_f: float  # across the car [N]
@@ -149,9 +149,9 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     F_lateral_f = F_xf * front.sine + F_yf * front.cosine
     solved = a_x if car.drive == SPEED else F_along / p.mass
     moved = abs(p.load_transfer * (solved - a_x))
-    settled = car.relaxed and load_is_spare(p)
-    settled = settled and grips(out.mu, F_zf - moved, F_xf, F_yf) and grips(out.mu, F_zr - moved, F_xr, F_yr)
-    return Forces(solved, a_y, settled, F_xf, F_yf, F_lateral_f, F_xr, F_yr)
+    final = car.relaxed and ignores_load(p)
+    final = final and grips(out.mu, F_zf - moved, F_xf, F_yf) and grips(out.mu, F_zr - moved, F_xr, F_yr)
+    return Forces(solved, a_y, final, F_xf, F_yf, F_lateral_f, F_xr, F_yr)
 
 
 @compiled
