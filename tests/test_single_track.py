@@ -244,8 +244,8 @@ def test_reference_does_not_depend_on_its_integrator() -> None:
 def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A car anywhere in the boxes of constants and effects, in a state inside the model's range, and its inputs.
 
-    Half of them slip so little that tyres grip, and one in four has neither of the effects by which a load would then
-    change their forces.
+    Half of them slip so little that tyres grip; each of the effects by which a load would still change their forces,
+    and steering compliance, whose own loop hides that of the loads, is there in half of them.
     """
 
     def within(p: Parameter) -> float:
@@ -253,7 +253,7 @@ def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, n
 
     fields = {field: within(p) for p in (*GENERIC_PRIORS.values(), *EFFECT_PARAMETERS.values()) for field in p.fields}
     records = record_of(PAPER, **fields)
-    for field in ("load_sensitivity_coefficient", "tyre_curve_peak"):
+    for field in ("load_sensitivity_coefficient", "tyre_curve_peak", "steering_compliance_coefficient"):
         records[field] *= rng.integers(2)
     records["C_vert"] = rng.uniform(2e5, 4e5)
     records["K"] = rng.uniform(5e4, 5e5) if relaxed else math.inf
