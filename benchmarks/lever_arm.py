@@ -20,28 +20,29 @@ RUNS = ROOT / "outputs" / "lever_arm"
 SETTINGS = {"lever_arm": "from the centre of gravity", "lever_arm_base_link": "from the rear axle"}
 
 
-def errors(axis: Axes, table: pd.DataFrame) -> None:
-    """Posterior means less the truth [cm] with their 90 % intervals, one line per seed."""
+def errors(axis: Axes, table: pd.DataFrame) -> float:
+    """Posterior means less the truth [cm] with their 90 % intervals, one line per seed; returns how far they reach."""
     less = 100.0 * table[["q05", "mean", "q95"]].sub(table["true"], axis=0)
     axis.axvline(0.0, color=TRUTH, linewidth=1.0)
     axis.hlines(table["seed"], less["q05"], less["q95"], color=POSTERIOR, linewidth=2.0)
     axis.plot(less["mean"], table["seed"], "o", color=POSTERIOR, markersize=4.0)
-    reach = 1.1 * less.abs().to_numpy().max()
-    axis.set_xlim(-reach, reach)
     axis.set_yticks([])
+    return float(less.abs().to_numpy().max())
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:
     """One row of panels per setting, one panel per axis of the IMU's place."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.0, 4.6), layout="constrained")
-        panels = figure.subplots(len(SETTINGS), 3)
-        for row, (prior, setting) in zip(panels, SETTINGS.items(), strict=True):
-            for axis, name in zip(row, "xyz", strict=True):
-                of_axis = table["parameter"].isin([f"imu_lever_arm.{name}", f"imu_{name}"])
-                errors(axis, table[(table["prior"] == prior) & of_axis])
-                axis.set_xlabel(f"{name}, estimate less truth [cm]")
-            row[0].set_ylabel(f"{setting}\n{table.seed.nunique()} drives")
+        panels = figure.subplots(len(SETTINGS), 3, sharex="col")
+        for column, name in zip(panels.T, "xyz", strict=True):
+            of_axis = table[table["parameter"].isin([f"imu_lever_arm.{name}", f"imu_{name}"])]
+            each = [of_axis[of_axis["prior"] == prior] for prior in SETTINGS]
+            reach = 1.1 * max(errors(axis, part) for axis, part in zip(column, each, strict=True))
+            column[0].set_xlim(-reach, reach)
+            column[-1].set_xlabel(f"{name}, estimate less truth [cm]")
+        for axis, (prior, setting) in zip(panels[:, 0], SETTINGS.items(), strict=True):
+            axis.set_ylabel(f"{setting}\n{table.loc[table['prior'] == prior, 'seed'].nunique()} drives")
         save(figure, path, [key("truth", TRUTH), key("mean and 90 % interval", POSTERIOR, marker="o")])
 
 
