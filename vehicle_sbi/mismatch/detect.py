@@ -231,9 +231,10 @@ class Quadratic:
         self, prior: Float[np.ndarray, "n n"], low: Float[np.ndarray, "#k q"], high: Float[np.ndarray, "#k q"]
     ) -> Float[np.ndarray, "k n"]:
         """The likeliest x under noise of its own, both in turn; the last q sizes lie within low and high."""
-        x = np.zeros(self.b.shape[2:])
+        k, n = self.b.shape[2:]
+        x = np.zeros((k, n))
         for _ in range(ITERATIONS):
-            x = _bounded(*self.weighted(x, prior), low, high, x.shape[1] - low.shape[1])
+            x = _bounded(*self.weighted(x, prior), low, high, n - low.shape[1])
         return x
 
     def weighted(
