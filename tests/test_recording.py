@@ -144,6 +144,16 @@ def test_derivative_of_a_parabola_is_exact():
     np.testing.assert_allclose(smoothed(v_x, RATE, "", derivative=1), 0.3 - 1.4 * t, atol=1e-8)
 
 
+def test_the_derivative_of_noise_is_smooth():
+    # Where the speed is noise, a model's a_x is that noise's derivative: were it rough, a delayed or smoothed sensor
+    # would explain it better. One pass of the filter (weights j / sum j^2, |j| <= 12) jumps by sqrt(312/1300) = 0.49 of
+    # its standard deviation from sample to sample; half of that is asked for.
+    v_x = 10.0 + 0.01 * np.random.default_rng(0).standard_normal(10_000)
+    windows = cut(recording(100.0, v_x=v_x), warmup_s=0.0)
+    found = windows.u[:, :, INPUTS.index("v_x_dot")]
+    assert np.diff(found, axis=1).std() < 0.25 * found.std()
+
+
 def test_initial_state_is_the_measurement_and_its_std_the_noise():
     noise = np.random.default_rng(0).normal(0.0, 0.02, 2000)
     windows = cut(recording(yaw_rate=0.3 + noise, v_y=-0.2))

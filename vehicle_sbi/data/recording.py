@@ -306,7 +306,8 @@ class Recording:
             v_x = inputs["v_x"]
             smooth = smoothed(v_x, self.rate, self.source)
             inputs["v_x"] = np.where(np.isfinite(v_x), smooth, np.nan)
-            inputs["v_x_dot"] = smoothed(v_x, self.rate, self.source, derivative=1)
+            # of the speed that drives the model: that of the measured one is rough
+            inputs["v_x_dot"] = smoothed(smooth, self.rate, self.source, derivative=1)
         if drive == "wheel_speed":
             for name in NEEDED[drive]:
                 held = inputs[name]
