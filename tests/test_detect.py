@@ -67,10 +67,10 @@ def test_p_values_are_uniform_where_nothing_is_missing(rho: float, seconds: floa
         ]  # fmt: skip
         low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
         changes = slopes(fit.simulator, fit.theta, found)
-        p.append(score(fit, changes, low, high, rng=np.random.default_rng(seed), draws=300).p_value())
+        p.append(score(fit, changes, low, high, rng=np.random.default_rng(seed), draws=150).p_value())
         bumps = np.concatenate([bumps_of(fit, channel) for channel in range(sim.shape[0])])
         rows, free = np.arange(len(bumps)).reshape(sim.shape[0], -1).tolist(), np.full(len(bumps), np.inf)
-        scores = score(fit, bumps, -free, free, rng=np.random.default_rng(seed), draws=300, together=rows)
+        scores = score(fit, bumps, -free, free, rng=np.random.default_rng(seed), draws=150, together=rows)
         together.append(scores.p_value())
     assert kstest(p, "uniform").pvalue > 1e-3
     assert kstest(together, "uniform").pvalue > 1e-3
