@@ -1,8 +1,7 @@
 """What a vehicle does: plain scalar Python compiled by numba.
 
 numba's on-disk cache does not notice a change in a function that a cached one calls, so the cache lives in a folder
-named after the sources: an edited equation is a new folder. LLVM optimises at its level 2, as compilers do by default:
-numba's 3 takes a quarter longer to compile and simulates no faster.
+named after the sources: an edited equation is a new folder.
 """
 
 import hashlib
@@ -29,5 +28,3 @@ def _cache_folder() -> Path:
 
 if "NUMBA_CACHE_DIR" not in os.environ:
     numba.core.config.CACHE_DIR = str(_cache_folder())  # pyright: ignore[reportAttributeAccessIssue]
-if "NUMBA_OPT" not in os.environ:
-    numba.core.config.OPT = numba.core.config._OptLevel(2)  # pyright: ignore[reportAttributeAccessIssue]
