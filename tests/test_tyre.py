@@ -136,11 +136,12 @@ def test_rearranged_form_equals_the_printed_one(
 def test_more_load_changes_no_force_that_grips(
     C_kappa: float, C_alpha: float, mu: float, F_z: float, kappa: float, t: float, more: float
 ) -> None:
-    # Forces grip where lambda > 1, but for the rounding of both sides; then the numbers are the same to rounding.
+    # Forces grip where lambda > 1, but for the rounding of both sides and loads whose squares vanish; then the numbers
+    # are the same to rounding.
     F = dugoff(C_kappa, C_alpha, mu, F_z, kappa, t)
     demand = math.hypot(C_kappa * kappa, C_alpha * t)
     knee = mu * F_z * (1.0 + kappa) / (2.0 * demand) if demand > 0.0 else math.inf
-    if F_z > 0.0 and kappa > -1.0 and abs(knee - 1.0) > 16 * EPS:
+    if F_z >= 1.0 and kappa > -1.0 and abs(knee - 1.0) > 16 * EPS:
         assert grips(mu, F_z, *F) == (knee > 1.0)
     if grips(mu, F_z, *F):
         assert dugoff(C_kappa, C_alpha, mu, more * F_z, kappa, t) == pytest.approx(F, rel=4 * EPS)

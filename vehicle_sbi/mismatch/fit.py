@@ -27,6 +27,7 @@ DAMPING = 1e-3  # information in units of the prior that keeps directions which 
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tried
 MOST_STEPS = 15
 CONVERGED = 0.01  # decrease of half the sum of squares, which is log likelihood, at which a fit ends
+MOST_DEAD_TIMES = 100  # that are tried of one
 NOISE_ROUNDS = 4  # of fit and noise at most
 MEMORY_S = 0.5  # [s], the correlation time of noise at most: what is slower is physics, or a sensor that drifts
 STATES = ("v_x", "v_y", "r")
@@ -243,12 +244,14 @@ def likeliest(observation: Observation, start: Float[np.ndarray, " d"], steps: i
 def elsewhere(fit: Fit, k: int) -> Float[np.ndarray, " d"]:
     """theta with dead time k where in its box the model fits best, the other parameters following at first order."""
     space, windows = fit.simulator.space, fit.simulator.windows
-    tried = np.arange(space.low[k], space.high[k], 0.5 / windows.rate)
+    step = max(0.5 / windows.rate, (space.high[k] - space.low[k]) / MOST_DEAD_TIMES)
+    tried = np.arange(space.low[k], space.high[k], step)
     points = np.repeat(fit.theta[None], len(tried), axis=0)
     points[:, k] = tried
     off = np.where(windows.valid, fit.observation.observed - fit.simulator.noise_free(points), 0.0)
     r = fit.metric(np.nan_to_num(off)).reshape(len(tried), -1)
-    followed, _ = np.linalg.qr(np.delete(fit.metric(fit.at.J), k, axis=0).reshape(len(fit.theta) - 1, -1).T)
+    others = np.delete(fit.metric(fit.at.J), k, axis=0).reshape(len(fit.theta) - 1, r.shape[1])
+    followed, _ = np.linalg.qr(others.T)
     left = np.sum(r**2, axis=1) - np.sum((r @ followed) ** 2, axis=1)
     return points[int(np.argmin(np.where(np.isfinite(off).all(axis=(1, 2)), left, np.inf)))]
 
