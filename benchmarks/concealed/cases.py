@@ -14,7 +14,7 @@ import numpy as np
 
 from concealed import outside
 from concealed.case_files import write_case, write_sealed
-from concealed.concealment import CLOSE, Built, Concealment, draft, draft_outside
+from concealed.concealment import CLOSE, SHORT, Built, Concealment, draft, draft_outside
 from concealed.mix import SNRS, Slot, slot
 from concealed.setups import attempt, happens_once, recording
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -67,7 +67,7 @@ def _conceal(seed: int, wanted: Slot, k: int, target: float, *, anyway: bool = F
     built = hidden.finish(drafts, strengths)
     if built is None:
         return None, 0.0
-    return built, min([worth, *(beyond / DETECTABLE / (1.0 - 3 * CLOSE) for beyond in built.beyond)])
+    return built, min([worth, *(beyond / DETECTABLE / (1.0 - SHORT) for beyond in built.beyond)])
 
 
 def build(seed: int, index: int, folder: Path, injected: Callable[..., None], injectable: Sequence[str]) -> None:
@@ -127,7 +127,7 @@ def _truth(wanted: Slot, built: Built, once: set[str], held: Sequence[str]) -> d
         },
         "snr_drawn": wanted.snr,
         "snr": built.total,
-        "detectable": bool(not built.effects or weakest >= (1 - 3 * CLOSE) * DETECTABLE),
+        "detectable": bool(not built.effects or weakest >= (1 - SHORT) * DETECTABLE),
         "snr_of_nothing": built.nothing,
         "noise": asdict(setup.noise),
         "base_parameters": dict(zip(built.simulator.space.names, map(float, setup.theta), strict=True)),

@@ -17,7 +17,8 @@ from vehicle_sbi.physics.effects import CATALOGUE, Effect
 
 MOST_TRIALS = 14  # of a strength
 FAR = 0.25  # prior standard deviations that a fit moves, from which it is done rather than extrapolated
-CLOSE = 0.03  # of the signal-to-noise ratio, where the search for an amplitude stops
+CLOSE = 0.06  # of the signal-to-noise ratio, where the search for an amplitude stops
+SHORT = 0.09  # of it, that may be missing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +118,7 @@ class Concealment:
     """A setup whose truth without effects is the base model's, as far as the noise lets one tell."""
 
     def __init__(self, setup: Setup, nothing: float) -> None:
-        self.ok = False
+        self.ok, self.last = False, setup.theta
         for _ in range(6):
             self.setup = setup
             quiet = self.series({})
@@ -171,15 +172,16 @@ class Concealment:
         simulator = self.recorded({one.name: one.at(strength)})
         if simulator is None:
             return None
-        fitted, left = self.fitted(simulator)
+        fitted, left = self.fitted(simulator, self.last)
+        self.last = fitted.theta
         return snr(fitted.left(left[None]))
 
-    def fitted(self, simulator: Simulator) -> tuple[Projection, np.ndarray]:
+    def fitted(self, simulator: Simulator, start: np.ndarray) -> tuple[Projection, np.ndarray]:
         """About the base model's fit to what a simulator has recorded, and what it leaves beyond what nothing does."""
         changed = residual(simulator, self.theta, simulator.windows.y) - self.rest
         if not self.moves(changed):
             return Projection(simulator, self.theta), changed
-        theta = fit(simulator, simulator.windows.y, self.theta)
+        theta = fit(simulator, simulator.windows.y, start)
         return Projection(simulator, theta), residual(simulator, theta, simulator.windows.y) - self.rest
 
     def moves(self, changed: np.ndarray) -> bool:
@@ -192,6 +194,7 @@ class Concealment:
         changed = self.change({one.name: one.at(strength)})
         if changed is None or not self.moves(changed):
             return strength, reached
+        self.last = self.theta
         return settle(partial(self.reach_fitted, one), target)
 
     def finish(self, drafts: Sequence[Draft], strengths: Sequence[float]) -> Built | None:
@@ -204,7 +207,7 @@ class Concealment:
         changes = [self.change({name: values}) for name, values in effects.items()]
         if any(c is None for c in changes):
             return None
-        projection, together = self.fitted(simulator)
+        projection, together = self.fitted(simulator, self.theta)
         left = projection.left(np.array([*changes, together]))
         alone = [snr(row) for row in left[:-1]]
         beyond = [

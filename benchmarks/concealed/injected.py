@@ -17,7 +17,7 @@ import yaml
 from concealed.actuators_and_sensors import changed, later
 from concealed.case_files import write_case, write_sealed
 from concealed.cases import DETECTABLE
-from concealed.concealment import CLOSE, settle
+from concealed.concealment import CLOSE, SHORT, settle
 from concealed.mix import SNRS, Slot
 from concealed.strength import Given, Projection, fit, residual, snr
 from vehicle_sbi.data.noise import EstimatedNoise, from_residual
@@ -235,7 +235,7 @@ def build(seed: int, wanted: Slot, case: Path, sealed: Path) -> None:
         } if effect else {},
         "snr_drawn": wanted.snr,
         "snr": reached,
-        "detectable": bool(effect is None or reached >= (1 - 3 * CLOSE) * DETECTABLE),
+        "detectable": bool(effect is None or reached >= (1 - SHORT) * DETECTABLE),
         "snr_of_nothing": None,
         "noise": None,
         "base_parameters": {},

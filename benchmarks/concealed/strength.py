@@ -23,7 +23,7 @@ from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 
 WINDOW_S, WARMUP_S = 10.0, 0.5  # [s], which the tool is told too
-FIT_STEPS, FIT_GAIN = 12, 0.02  # at most, and the gain of chi-square below which a fit ends
+FIT_STEPS, FIT_GAIN = 20, 0.02  # at most, and the gain of chi-square below which a fit ends
 NONE = Mixture(np.zeros(0), np.zeros(0))
 
 
@@ -194,26 +194,30 @@ def residual(simulator: Simulator, theta: np.ndarray, observed: np.ndarray) -> n
 
 
 def fit(simulator: Simulator, observed: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Gauss-Newton inside the prior's box, from theta; a step that makes it worse is halved."""
-    space = simulator.space
+    """Gauss-Newton inside the prior's box, from theta; a step that makes it worse is halved.
 
-    def misfit(at: np.ndarray) -> float:
-        r = residual(simulator, at, observed)
+    Derivatives are taken anew only where those of an earlier theta gain nothing more.
+    """
+    space = simulator.space
+    projection, fresh = Projection(simulator, theta), True
+
+    def misfit(r: np.ndarray) -> float:
         return snr(projection.without_states(r[None])) if np.isfinite(r).all() else np.inf
 
-    projection = Projection(simulator, theta)
-    now = misfit(theta)
+    rest = residual(simulator, theta, observed)
+    now = misfit(rest)
     for _ in range(FIT_STEPS):
-        step = projection.step(residual(simulator, theta, observed))
+        step, gain = projection.step(rest), 0.0
         for halving in range(5):
             trial = np.clip(theta + 0.5**halving * step, space.low, space.high)
-            reached = misfit(trial)
-            if reached < now:
+            left = residual(simulator, trial, observed)
+            if (reached := misfit(left)) < now:
+                theta, rest, gain, now = trial, left, now**2 - reached**2, reached
                 break
-        else:
+        if gain < FIT_GAIN and fresh:
             return theta
-        theta, gain, now = trial, now**2 - reached**2, reached
-        if gain < FIT_GAIN:
-            return theta
-        projection = Projection(simulator, theta)
+        fresh = gain < FIT_GAIN
+        if fresh:
+            projection = Projection(simulator, theta)
+            now = misfit(rest)
     return theta

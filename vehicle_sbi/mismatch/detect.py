@@ -31,6 +31,7 @@ DRAWS = 500  # of noise, behind a p-value
 CHUNK = 100  # of them at once
 ITERATIONS = 6  # of sizes and noise, in turn
 LEAST_VARIANCE = 1e-18
+STEADYING = 1e-9  # of the diagonal, for directions that are one and the same
 
 Products = Float[np.ndarray, "3 channels i j"]
 
@@ -281,12 +282,18 @@ def _ar1(
 
 
 def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m: int) -> np.ndarray:
-    """Solutions of A x = g whose last entries lie within their bounds, the others at their best given those."""
-    A = A + 1e-12 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(A.shape[1])
-    x = np.linalg.solve(A, g[..., None])[..., 0]
-    size = np.clip(x[:, m:], low, high)
-    rest = g[:, :m] - np.einsum("kij,kj->ki", A[:, :m, m:], size)
-    return np.concatenate([np.linalg.solve(A[:, :m, :m], rest[..., None])[..., 0], size], axis=1)
+    """Solutions of A x = g whose last entries lie within their bounds, the others at their best given those.
+
+    Solved in units in which A has a diagonal of ones: sizes may be of any order, and what steadies one must not hold
+    another.
+    """
+    unit = np.maximum(np.diagonal(A, axis1=1, axis2=2), LEAST_VARIANCE) ** -0.5
+    A = A * unit[:, :, None] * unit[:, None, :] + STEADYING * np.eye(A.shape[1])
+    x = np.linalg.solve(A, (g * unit)[..., None])[..., 0]
+    size = np.clip(x[:, m:] * unit[:, m:], low, high)
+    rest = (g * unit)[:, :m] - np.einsum("kij,kj->ki", A[:, :m, m:], size / unit[:, m:])
+    others = np.linalg.solve(A[:, :m, :m], rest[..., None])[..., 0]
+    return np.concatenate([others * unit[:, :m], size], axis=1)
 
 
 def score(

@@ -103,10 +103,13 @@ class Examined:
 
 @dataclass(frozen=True)
 class Version:
-    """A way in which an effect may act: its parameters and where to start fitting them, with what speaks for it."""
+    """A way in which an effect may act: its parameters and where to start fitting them, with what speaks for it.
+
+    There are several starts where an effect comes and goes: for each of the durations that were tried its best moment.
+    """
 
     effect: str
-    start: dict[Parameter, float]
+    starts: list[dict[Parameter, float]]
     log_evidence: float
     score: float
 
@@ -177,9 +180,22 @@ def _version(examined: Examined, effect: str, rows: Sequence[list[int]]) -> Vers
     leading = [ks[int(np.argmax(evidence[ks]))] for ks in rows]
     joint = examined.joint.get(effect)
     if joint is not None and joint.log_evidence > max(singles):
-        return Version(effect, _start(examined, joint.rows, joint.size), joint.log_evidence, np.sqrt(2 * joint.gain))
-    k = leading[int(np.argmax(singles))]
-    return Version(effect, _start(examined, [k], scores.size[[k]]), max(singles), float(np.abs(scores.z[k])))
+        start = _start(examined, joint.rows, joint.size)
+        return Version(effect, [start], joint.log_evidence, np.sqrt(2 * joint.gain))
+    best = int(np.argmax(singles))
+    starts = [_start(examined, [k], scores.size[[k]]) for k in _moments(examined, rows[best])]
+    return Version(effect, starts, singles[best], float(np.abs(scores.z[leading[best]])))
+
+
+def _moments(examined: Examined, rows: list[int]) -> list[int]:
+    """Of the shapes of one direction the best of each duration, where it promises enough, the best of all first."""
+    evidence, found = examined.scores.log_evidence, examined.free.directions
+    best: dict[float | None, int] = {}
+    for k in sorted(rows, key=lambda k: -evidence[k]):
+        lasts = next((value for p, value in found[k].held.items() if p.name.endswith(".duration")), None)
+        best.setdefault(lasts, k)
+    first = next(iter(best.values()))
+    return [k for k in best.values() if evidence[k] >= LEAST_SHARE * evidence[first] - SLACK]
 
 
 def _start(examined: Examined, rows: list[int], sizes: Float[np.ndarray, " q"]) -> dict[Parameter, float]:
@@ -195,13 +211,15 @@ def extended(model: Model, version: Version) -> Model | None:
     """The model with one more effect, all parameters fitted under noise of its own; None if it cannot be simulated."""
     simulator = model.fit.simulator
     boxes = {p.name: p for p in within(simulator, CATALOGUE[version.effect]).parameters}
-    added = [boxes[p.name] for p in version.start]
-    wider = replace(simulator, space=ParameterSpace((*simulator.space.parameters, *added)))
-    start = np.concatenate([model.fit.theta, list(version.start.values())])
-    found = likeliest(model.fit.observation.extended(wider), start, STEPS)
-    if found is None:
+    added = [boxes[p.name] for p in version.starts[0]]
+    wider = model.fit.observation.extended(
+        replace(simulator, space=ParameterSpace((*simulator.space.parameters, *added)))
+    )
+    points = [np.concatenate([model.fit.theta, list(start.values())]) for start in version.starts]
+    fits = [fit for point in points if (fit := likeliest(wider, point, STEPS)) is not None]
+    if not fits:
         return None
-    fit = with_own_noise(found, NOISE_ROUNDS, STEPS)
+    fit = with_own_noise(max(fits, key=lambda fit: fit.log_likelihood), NOISE_ROUNDS, STEPS)
     effects = tuple(sorted({*model.effects, version.effect}))  # another parameter of an effect is no further effect
     return Model(effects, fit, float(np.hypot(model.explained, version.score)))
 
