@@ -14,6 +14,7 @@ from vehicle_sbi.data.noise import EstimatedNoise
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import CHANNELS, Recording, joined, unheld
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.case import Diagnosis
 from vehicle_sbi.physics.single_track import INPUTS
 
@@ -37,7 +38,7 @@ def diagnosis(files: list[Path], heldout: list[Path] | None = None, **changes: A
         "vehicle": PAPER, "model": "single_track", "drive": "speed", "prior": PRIOR, "effects": [], "window_s": 10.0,
         "warmup_s": 0.5, "noise": EstimatedNoise(), "seed": 0, "recordings": [str(f) for f in files],
         "recording": RecordingFile(path=str(files[0]), channels=("a_x", "a_y", "yaw_rate")),
-        "heldout": [str(f) for f in heldout or []],
+        "heldout": [str(f) for f in heldout or []], "belief": Belief(),
     }  # fmt: skip
     settings |= changes
     return Diagnosis(**settings)

@@ -53,6 +53,22 @@ def test_the_size_of_a_bias_comes_out_as_it_went_in() -> None:
     assert s.p_value() == pytest.approx(1 / 201)
 
 
+@pytest.mark.parametrize("unit", [1e-7, 1e6])
+def test_scores_do_not_depend_on_the_unit_of_a_size(unit: float) -> None:
+    # Steering compliance is a millionth of a radian a newton, a load hundreds of kilogrammes; both stand beside the
+    # fit's own parameters in one system of equations, which is solved in double precision.
+    fit = fitted(recorded(lateral(), steering_compliance__coefficient=5e-7))
+    found = directions(fit.simulator, fit.theta, CATALOGUE["steering_compliance"])
+    high = np.array([d.high for d in found]) / 1e-6
+    changes = slopes(fit.simulator, fit.theta, found) * 1e-6
+    one, other = (
+        score(fit, changes * factor, -high / factor, high / factor, rng=np.random.default_rng(0), draws=20)
+        for factor in (1.0, 1.0 / unit)
+    )
+    np.testing.assert_allclose(other.z, one.z, rtol=1e-4)
+    np.testing.assert_allclose(other.size, one.size * unit, rtol=1e-4)
+
+
 @pytest.mark.parametrize(("rho", "seconds"), [(0.0, 5.0), (0.9, 10.0)])
 def test_p_values_are_uniform_where_nothing_is_missing(rho: float, seconds: float) -> None:
     # 60 recordings; noise and parameters are fitted to each. A Kolmogorov-Smirnov test at 0.1 % keeps chance out, of

@@ -47,3 +47,14 @@ def test_what_no_effect_explains_is_unknown_and_is_located() -> None:
     first = next(place for place in places(found) if not place.regime)
     assert first.channel == "a_x"
     assert first.from_s < 7.0 < first.to_s
+
+
+def test_what_comes_and_goes_is_found_between_the_spans_that_were_tried() -> None:
+    # From 2.3 to 6.2 s, beside a gyro's bias; the tried spans of this recording last 0.6, 1.2, 2.5 or 5 s.
+    found = explained(
+        recorded(lateral(), gust__force=-900.0, gust__arm=0.3, gust__start=2.3, gust__duration=3.9, gyro_bias__z=-0.02)
+    )
+    assert found.models[0].effects == ("gust", "gyro_bias")
+    size = estimates(found.models[0].fit)
+    for name, value in (("start", 2.3), ("duration", 3.9)):
+        assert size[f"gust.{name}"].mean == pytest.approx(value, abs=max(4 * size[f"gust.{name}"].std, 0.02))

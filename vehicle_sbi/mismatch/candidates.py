@@ -19,7 +19,9 @@ from vehicle_sbi.physics.single_track import INPUTS
 
 STEP = 0.05  # of a parameter's prior width, for differences from its null: enough for a lag to outlast a sample
 SHAPES = 3  # values at which a parameter of shape is held
-SHARES = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording that something may last, begun at every half of it
+SPAN = ("start", "duration")
+TILES = 16  # of the recordings' time, of which what comes and goes is made up
+LENGTHS = (1, 2, 4, 8)  # tiles that something may last, begun at every half of it
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,22 @@ class Direction:
     def high(self) -> float:
         """How far it reaches above."""
         return self.parameter.high - null(self.parameter)
+
+    @property
+    def clocked(self) -> dict[str, Parameter]:
+        """What says when it acts, `start` and `duration`; empty for what acts all the time."""
+        timed = {p.name.split(".")[-1]: p for p in self.held}
+        return {key: timed[key] for key in SPAN} if set(SPAN) <= timed.keys() else {}
+
+    @property
+    def key(self) -> tuple[str, tuple[float, ...]]:
+        """What tells it from other shapes of the same direction."""
+        return self.parameter.name, tuple(self.held.values())
+
+    def during(self, start: float, duration: float) -> "Direction":
+        """The same from a start on for a duration [s]."""
+        moved = dict(zip((self.clocked[key] for key in SPAN), (start, duration), strict=True))
+        return replace(self, held={**self.held, **moved})
 
 
 def null(p: Parameter) -> float:
@@ -67,8 +85,7 @@ def extent(simulator: Simulator) -> float:
 def within(simulator: Simulator, effect: Effect) -> Effect:
     """The effect with the boxes of what begins and lasts as wide as the recordings."""
     seconds = extent(simulator)
-    timed = ("start", "duration")
-    parameters = (replace(p, high=seconds) if p.name.split(".")[-1] in timed else p for p in effect.parameters)
+    parameters = (replace(p, high=seconds) if p.name.split(".")[-1] in SPAN else p for p in effect.parameters)
     return replace(effect, parameters=tuple(parameters))
 
 
@@ -126,21 +143,37 @@ def left_out(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> list[Direc
     return [direction for effect in CATALOGUE.values() for direction in directions(simulator, theta, effect)]
 
 
+def tile(simulator: Simulator) -> float:
+    """How long a tile of the recordings' time is [s]."""
+    return extent(simulator) / TILES
+
+
 def shapes(simulator: Simulator, direction: Direction) -> list[Direction]:
     """The direction with its parameters of shape held at each of a few values: times at every half of what lasts."""
-    timed = {p.name.split(".")[-1]: p for p in direction.held}
-    others = [p for p in direction.held if p.name.split(".")[-1] not in ("start", "duration")]
+    others = [p for p in direction.held if p not in direction.clocked.values()]
     spread = [np.linspace(p.low, p.high, SHAPES).tolist() for p in others]
-    grid = [dict(zip(others, values, strict=True)) for values in itertools.product(*spread)]
-    if {"start", "duration"} <= timed.keys():
-        seconds = extent(simulator)
-        spans = [
-            {timed["start"]: begin, timed["duration"]: share * seconds}
-            for share in SHARES
-            for begin in np.arange(0.0, (1.0 - share) * seconds + 1e-9, max(share / 2, SHARES[0]) * seconds)
-        ]
-        grid = [shape | span for shape in grid for span in spans]
-    return [replace(direction, held=shape) for shape in grid]
+    found = [
+        replace(direction, held={**direction.held, **dict(zip(others, values, strict=True))})
+        for values in itertools.product(*spread)
+    ]
+    if not direction.clocked:
+        return found
+    seconds = tile(simulator)
+    return [
+        shape.during(first * seconds, length * seconds)
+        for shape in found
+        for length in LENGTHS
+        for first in range(0, TILES - length + 1, max(length // 2, 1))
+    ]
+
+
+def tiles(simulator: Simulator, direction: Direction) -> list[Direction]:
+    """The direction over each tile of its span, whose changes add up to its own; itself if it acts all the time."""
+    if not direction.clocked:
+        return [direction]
+    seconds = tile(simulator)
+    first, length = (round(direction.held[direction.clocked[key]] / seconds) for key in SPAN)
+    return [direction.during(k * seconds, seconds) for k in range(first, first + length)]
 
 
 def slopes(

@@ -10,6 +10,7 @@ from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording, Windows, joined
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.setup import Setup
+from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.parameters import ParameterSpace
 
@@ -33,6 +34,7 @@ class Case:
     apart: bool
     notes: tuple[str, ...]
     inputs: dict[str, str]
+    belief: Belief
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +47,7 @@ class Diagnosis(Setup):
     recording: RecordingFile
     recordings: Sequence[str | RecordingFile]
     heldout: Sequence[str | RecordingFile]
+    belief: Belief
 
     def prepare(self) -> Case:
         """Read everything; InputError for recordings that do not go together, or a box without its effect's null."""
@@ -72,6 +75,7 @@ class Diagnosis(Setup):
             apart=bool(self.heldout),
             notes=observation.simulator.windows.notes,
             inputs=inputs,
+            belief=self.belief,
         )
 
     def _read(self) -> tuple[list[tuple[RecordingFile, Recording]], list[tuple[RecordingFile, Recording]]]:

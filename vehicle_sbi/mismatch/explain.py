@@ -7,6 +7,7 @@ and so does what the best set leaves over, by how often noise alone would leave 
 Laplace's evidence and a prior that is reluctant to add effects.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,7 +15,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.mismatch.candidates import Direction, null, within
+from vehicle_sbi.mismatch.belief import Belief
+from vehicle_sbi.mismatch.candidates import Direction, null, tile, within
 from vehicle_sbi.mismatch.detect import Linearised, Scores, profile, score
 from vehicle_sbi.mismatch.fit import Fit, descend, likeliest, with_own_noise
 from vehicle_sbi.mismatch.laws import Law, under
@@ -27,16 +29,14 @@ LEVEL = 0.05  # of the test whether anything is missing
 TRIED = 8  # effects at most that are fitted fully beside each model
 LEAST_SHARE, SLACK = 0.65, 8.0  # of the best one's first-order evidence that they need, and by how much it may be off
 BEAM = 2  # models that are extended further
-MOST_EFFECTS = 3
-RELUCTANCE = (0.5, 0.4, 0.09, 0.01)  # prior probability of none, one, two, three effects
-UNKNOWN = 0.3  # prior odds of something outside the catalogue, beside a model
 ALIKE = 0.98  # coherence with a direction of the catalogue from which a law says nothing new
 LAWS_TRIED = 2  # that are fitted fully beside a model
 SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
 TEMPER = 0.6  # power of the evidence; it and UNKNOWN were set on 63 simulated diagnoses
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
-HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance
+HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance to add one
+BELIEF = Belief()
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,11 @@ class Model:
     def log_evidence(self) -> float:
         return self.fit.log_evidence
 
+    def weight(self, belief: Belief) -> float:
+        """Log prior plus log evidence."""
+        laws = None if self.law is None else self.choice
+        return belief.log_prior(len(self.effects), laws) + self.log_evidence
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -71,13 +76,15 @@ class Joint:
 class Examined:
     """A model with everything that it leaves out, and the scores of it all.
 
-    Each channel's blocks of time are scored together too; `joint` are effects that have several directions.
+    Each channel's blocks of time are scored together too; `joint` are effects that have several directions, `spans`
+    where to start fitting those that come and go.
     """
 
     model: Model
     free: Inventory
     scores: Scores
     joint: dict[str, Joint]
+    spans: dict[str, dict[Parameter, float]]
 
     @cached_property
     def p_value(self) -> float:
@@ -105,7 +112,7 @@ class Examined:
 class Version:
     """A way in which an effect may act: its parameters and where to start fitting them, with what speaks for it.
 
-    There are several starts where an effect comes and goes: for each of the durations that were tried its best moment.
+    An effect that comes and goes has two: the likeliest of all spans of time, and the best of those that were scored.
     """
 
     effect: str
@@ -120,14 +127,15 @@ def examine(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> E
     about = Linearised.of(model.fit)
     free = free.ruled_by(about.coherence(free.ruled, free.named).max(axis=1, initial=0.0) < ALIKE)
     scores = score(model.fit, free.changes, *free.of.bounds, rng=rng, together=_stretches(free.of))
-    return Examined(model, free.of, scores, _joint(about, free, scores))
+    return Examined(model, free.of, scores, _joint(about, free, scores), _spans(about, free))
 
 
 def glance(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Examined:
     """The same of directions alone and without a null: enough to say which effects promise most."""
     free = repertoire.beyond(model.fit).alone()
     scores = score(model.fit, free.changes, *free.of.bounds, rng=rng, draws=0)
-    return Examined(model, free.of, scores, _joint(Linearised.of(model.fit), free, scores))
+    about = Linearised.of(model.fit)
+    return Examined(model, free.of, scores, _joint(about, free, scores), _spans(about, free))
 
 
 def _stretches(free: Inventory) -> list[list[int]]:
@@ -164,6 +172,34 @@ def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joi
     return together
 
 
+def _spans(about: Linearised, free: Repertoire) -> dict[str, dict[Parameter, float]]:
+    """Effects that come and go, from when to when and how large they are likeliest to be, of all whole tiles."""
+    seconds = tile(about.fit.simulator)
+    found: dict[str, tuple[float, dict[Parameter, float]]] = {}
+    for rows in _tiled(free.of.directions, seconds):
+        first = free.of.directions[rows[0]]
+        sums = np.concatenate([np.zeros_like(free.named[:1]), np.cumsum(free.named[rows], axis=0)])
+        spans = [*itertools.combinations(range(len(sums)), 2)]
+        changes = np.array([sums[stop] - sums[start] for start, stop in spans])
+        low, high = (np.full((len(spans), 1), end) for end in (first.low, first.high))
+        tried = profile(about, changes[:, None], low, high)
+        k = int(np.argmax(tried.log_likelihood))
+        if first.effect not in found or tried.log_likelihood[k] > found[first.effect][0]:
+            start, stop = spans[k]
+            span = first.during(start * seconds, (stop - start) * seconds)
+            found[first.effect] = float(tried.log_likelihood[k]), _sized([span], tried.size[k])
+    return {effect: start for effect, (_, start) in found.items()}
+
+
+def _tiled(found: Sequence[Direction], seconds: float) -> list[list[int]]:
+    """Rows of directions that last one tile, in order of time; a list for each shape that they have otherwise."""
+    rows: dict[tuple[str, tuple[float, ...]], list[int]] = {}
+    for k, d in enumerate(found):
+        if d.clocked and np.isclose(d.held[d.clocked["duration"]], seconds):
+            rows.setdefault(d.during(0.0, 0.0).key, []).append(k)
+    return [*rows.values()]
+
+
 def versions(examined: Examined) -> list[Version]:
     """The best way in which each effect may act, the most promising effect first."""
     found = [
@@ -183,24 +219,20 @@ def _version(examined: Examined, effect: str, rows: Sequence[list[int]]) -> Vers
         start = _start(examined, joint.rows, joint.size)
         return Version(effect, [start], joint.log_evidence, np.sqrt(2 * joint.gain))
     best = int(np.argmax(singles))
-    starts = [_start(examined, [k], scores.size[[k]]) for k in _moments(examined, rows[best])]
-    return Version(effect, starts, singles[best], float(np.abs(scores.z[leading[best]])))
-
-
-def _moments(examined: Examined, rows: list[int]) -> list[int]:
-    """Of the shapes of one direction the best of each duration, where it promises enough, the best of all first."""
-    evidence, found = examined.scores.log_evidence, examined.free.directions
-    best: dict[float | None, int] = {}
-    for k in sorted(rows, key=lambda k: -evidence[k]):
-        lasts = next((value for p, value in found[k].held.items() if p.name.endswith(".duration")), None)
-        best.setdefault(lasts, k)
-    first = next(iter(best.values()))
-    return [k for k in best.values() if evidence[k] >= LEAST_SHARE * evidence[first] - SLACK]
+    k = leading[best]
+    starts = [_start(examined, [k], scores.size[[k]])]
+    if effect in examined.spans:
+        starts.insert(0, examined.spans[effect])
+    return Version(effect, starts, singles[best], float(np.abs(scores.z[k])))
 
 
 def _start(examined: Examined, rows: list[int], sizes: Float[np.ndarray, " q"]) -> dict[Parameter, float]:
-    """Where to start fitting: shapes as they were tried, sizes as they came out, off the rim of their boxes."""
-    chosen = [examined.free.directions[k] for k in rows]
+    """Where to start fitting: shapes as they were tried, sizes as they came out."""
+    return _sized([examined.free.directions[k] for k in rows], sizes)
+
+
+def _sized(chosen: Sequence[Direction], sizes: Float[np.ndarray, " q"]) -> dict[Parameter, float]:
+    """Parameters of directions at some sizes, off the rim of their boxes."""
     start = {p: value for d in chosen for p, value in d.held.items()}
     for d, size in zip(chosen, sizes, strict=True):
         start[d.parameter] = null(d.parameter) + float(np.clip(size, 0.98 * d.low, 0.98 * d.high))
@@ -262,6 +294,7 @@ class Explanation:
     unnamed: list[Model]
     base: Examined
     best: Examined
+    belief: Belief
 
     @cached_property
     def _shares(self) -> Float[np.ndarray, " k"]:
@@ -270,9 +303,9 @@ class Explanation:
         Evidence is tempered: it takes the noise for exactly what it was modelled as and the search for complete, and
         so comes out too sure. What is unknown is as probable as what the best model leaves over is surprising.
         """
-        fitted = [_weight(model) for model in (*self.models, *self.unnamed, self.base.model, self.best.model)]
-        weights = TEMPER * np.array(fitted)
-        weights[-1] += np.log(UNKNOWN * SURPRISE) + (SURPRISE - 1.0) * np.log(self.best.p_adequate)
+        models = (*self.models, *self.unnamed, self.base.model, self.best.model)
+        weights = TEMPER * np.array([model.weight(self.belief) for model in models])
+        weights[-1] += np.log(self.belief.unknown * SURPRISE) + (SURPRISE - 1.0) * np.log(self.best.p_adequate)
         return np.exp(weights - np.logaddexp.reduce(weights))
 
     @property
@@ -303,7 +336,7 @@ class Explanation:
         alike = [model for model in self.models if len(model.effects) == len(effects)]
         if not alike:
             return {effects: 1.0}
-        weight = TEMPER * np.array([_weight(model) for model in alike])
+        weight = TEMPER * np.array([model.weight(self.belief) for model in alike])
         parts = np.exp(weight - np.logaddexp.reduce(weight))
         return {model.effects: float(part) for model, part in zip(alike, parts, strict=True)}
 
@@ -347,12 +380,17 @@ def explain(
     known: Sequence[Direction],
     *,
     rng: np.random.Generator,
+    belief: Belief = BELIEF,
     tried: Callable[[str], None] = lambda name: None,
 ) -> Explanation:
     """Search sets of effects from the base model on, among the directions that are known to act at its fit.
 
     `tried` is told the name of each set once it is fitted.
     """
+
+    def weight(model: Model) -> float:
+        return model.weight(belief)
+
     none = Model((), base, 0.0)
     repertoire = Repertoire.around(base, known)
     first = examine(none, repertoire, rng)
@@ -361,16 +399,16 @@ def explain(
     frontier = [first] if first.p_value < LEVEL else []
     unnamed = [*ruled(first)] if frontier else []
     promising = {version.effect for version in versions(first)[:TRIED]}
-    for _ in range(MOST_EFFECTS):
+    for _ in range(belief.most):
         grown: dict[tuple[str, ...], Model] = {}
         for model in (model for examined in frontier for model in _grow(examined)):
             tried(" + ".join(model.effects))
             known_already = grown.get(model.effects) or pool.get(model.effects)
-            if known_already is None or _weight(model) > _weight(known_already):
+            if known_already is None or weight(model) > weight(known_already):
                 grown[model.effects] = model
         pool |= grown
-        leading = sorted(grown.values(), key=_weight, reverse=True)[:BEAM]
-        if not leading or _weight(leading[0]) <= _weight(best.model):
+        leading = sorted(grown.values(), key=weight, reverse=True)[:BEAM]
+        if not leading or weight(leading[0]) <= weight(best.model):
             break
         best = examine(leading[0], repertoire, rng)
         if best.p_value > LEVEL:
@@ -378,14 +416,14 @@ def explain(
         frontier = [best, *(examine(model, repertoire, rng) for model in leading[1:])]
         unnamed += ruled(best)
         promising |= {version.effect for examined in frontier for version in versions(examined)[:TRIED]}
-    unnamed.sort(key=_weight, reverse=True)
+    unnamed.sort(key=weight, reverse=True)
     for model in _exchanged(best.model, repertoire.only(promising), rng):
         tried(" + ".join(model.effects))
         pool.setdefault(model.effects, model)
-    named = sorted((model for model in pool.values() if model.effects), key=_weight, reverse=True)
-    if named and _weight(named[0]) > _weight(best.model):
+    named = sorted((model for model in pool.values() if model.effects), key=weight, reverse=True)
+    if named and weight(named[0]) > weight(best.model):
         best = examine(named[0], repertoire, rng)
-    return Explanation(named, unnamed, first, best)
+    return Explanation(named, unnamed, first, best, belief)
 
 
 def _exchanged(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Iterator[Model]:
@@ -407,10 +445,3 @@ def _grow(examined: Examined) -> Iterator[Model]:
             return
         if version.score > 0 and (model := extended(examined.model, version)) is not None:
             yield model
-
-
-def _weight(model: Model) -> float:
-    """Log prior plus log evidence."""
-    n = len(model.effects)
-    unnamed = 0.0 if model.law is None else np.log(UNKNOWN / model.choice)
-    return float(np.log(RELUCTANCE[n]) - n * np.log(len(CATALOGUE)) + unnamed + model.log_evidence)

@@ -11,7 +11,7 @@ from itertools import compress
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vehicle_sbi.mismatch.candidates import Direction, shapes, slopes
+from vehicle_sbi.mismatch.candidates import Direction, shapes, slopes, tiles
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law, law_slopes, laws
 from vehicle_sbi.mismatch.locate import Block, blocks
@@ -61,7 +61,7 @@ class Repertoire:
         places, bumps = blocks(simulator, y)
         given = laws(simulator, theta, y)
         ruled = law_slopes(simulator, theta, y, given)
-        return cls(Inventory(found, places, given), slopes(simulator, theta, found), bumps, ruled)
+        return cls(Inventory(found, places, given), _summed(fit, found), bumps, ruled)
 
     @property
     def changes(self) -> Float[np.ndarray, "k channels time"]:
@@ -89,3 +89,11 @@ class Repertoire:
     def alone(self) -> "Repertoire":
         """Directions without blocks and laws."""
         return replace(self, of=replace(self.of, blocks=[], laws=[]), bumps=self.bumps[:0], ruled=self.ruled[:0])
+
+
+def _summed(fit: Fit, found: Sequence[Direction]) -> Float[np.ndarray, "k channels time"]:
+    """Change of the series per unit of each direction; spans of time are put together from their tiles."""
+    made_of = [tiles(fit.simulator, direction) for direction in found]
+    single = {one.key: one for parts in made_of for one in parts}
+    change = dict(zip(single, slopes(fit.simulator, fit.theta, [*single.values()]), strict=True))
+    return np.array([sum(change[one.key] for one in parts) for parts in made_of])

@@ -42,7 +42,12 @@ def diagnose(folder: RunFolder, case: Case, *, seed: int, figures: bool) -> None
         base, passed = _kept(folder, "fit", lambda: through(fitted(case, starts), starts), bar)
         known = _kept(folder, "directions", lambda: left_out(base.simulator, base.theta), bar)
         seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta, known), bar)
-        found = _kept(folder, "explanation", lambda: explain(base, known, rng=draws, tried=bar.set_postfix_str), bar)
+        found = _kept(
+            folder,
+            "explanation",
+            lambda: explain(base, known, rng=draws, belief=case.belief, tried=bar.set_postfix_str),
+            bar,
+        )
     with folder.stage("report"):
         predictions, gained = compared(case, found)
         answer = verdict(case, passed, found, predictions, gained, seen)

@@ -1,0 +1,24 @@
+"""What a little of an effect does over a while is the sum of what it does over the parts of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import TRUTH, fitted, lateral, recorded
+
+from vehicle_sbi.mismatch.candidates import STEP, directions, slopes
+from vehicle_sbi.mismatch.repertoire import Repertoire
+from vehicle_sbi.physics.effects import CATALOGUE
+
+
+@pytest.mark.parametrize("name", ["gust", "friction_step"])
+def test_spans_are_the_sum_of_their_tiles(name: str) -> None:
+    fit = fitted(recorded(lateral()))
+    known = directions(fit.simulator, TRUTH, CATALOGUE[name])
+    repertoire = Repertoire.around(replace(fit, theta=TRUTH), known)
+    whole = slopes(fit.simulator, TRUTH, repertoire.of.directions)
+    # Both are differences over a step of which the next order is left out: a relative error of the step's size, over
+    # as many tiles as a span has at most.
+    off = np.sqrt(np.mean((repertoire.named - whole) ** 2, axis=(1, 2)))
+    assert np.all(off < STEP * np.sqrt(np.mean(whole**2, axis=(1, 2))).max())
+    assert np.any(whole != 0.0)
