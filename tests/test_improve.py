@@ -64,7 +64,7 @@ def test_a_gain_is_the_mean_difference_and_its_error_that_of_blocks() -> None:
     assert found.mean == pytest.approx(2.0)
     assert found.std == pytest.approx(np.std([1, 3, 1, 3], ddof=1) / 2)
     assert found.low < found.mean
-    assert not Gain(1.0, 1.0, -0.5).certain
+    assert not Gain(1.0, 1.0, -0.5, 2.5).certain
 
 
 def test_a_drive_that_separates_is_one_in_which_the_models_differ(models: dict[str, Model]) -> None:

@@ -21,6 +21,7 @@ STEP = 0.05  # of a parameter's prior width, for differences from its null: enou
 SHAPES = 3  # values at which a parameter of shape is held
 SPAN = ("start", "duration")
 TILES = 16  # of the recordings' time, of which what comes and goes is made up
+LASTING = 0.5  # of the longest recording, at most
 LENGTHS = (1, 2, 4, 8)  # tiles that something may last, begun at every half of it
 
 
@@ -82,10 +83,20 @@ def extent(simulator: Simulator) -> float:
     return float(simulator.windows.u[..., INPUTS.index("time")].max())
 
 
+def longest(simulator: Simulator) -> float:
+    """How long the longest of the recordings lasts [s]."""
+    t = simulator.windows.t
+    starts_anew = 1 + np.flatnonzero(np.diff(t[:, 0]) < 0.0)
+    return max(float(np.ptp(part)) for part in np.split(t, starts_anew))
+
+
 def within(simulator: Simulator, effect: Effect) -> Effect:
-    """The effect with the boxes of what begins and lasts as wide as the recordings."""
-    seconds = extent(simulator)
-    parameters = (replace(p, high=seconds) if p.name.split(".")[-1] in SPAN else p for p in effect.parameters)
+    """The effect with the boxes of what begins and lasts as wide as the recordings allow.
+
+    What comes and goes lasts half of a recording at most: longer, it is a difference between recordings.
+    """
+    reach = {"start": extent(simulator), "duration": LASTING * longest(simulator)}
+    parameters = (replace(p, high=reach.get(p.name.split(".")[-1], p.high)) for p in effect.parameters)
     return replace(effect, parameters=tuple(parameters))
 
 
@@ -163,8 +174,14 @@ def shapes(simulator: Simulator, direction: Direction) -> list[Direction]:
         shape.during(first * seconds, length * seconds)
         for shape in found
         for length in LENGTHS
+        if allowed(direction, length, seconds)
         for first in range(0, TILES - length + 1, max(length // 2, 1))
     ]
+
+
+def allowed(direction: Direction, length: int, seconds: float) -> bool:
+    """Whether a direction may last so many tiles; one it always may."""
+    return length == 1 or length * seconds <= direction.clocked["duration"].high * (1.0 + 1e-9)
 
 
 def tiles(simulator: Simulator, direction: Direction) -> list[Direction]:

@@ -8,7 +8,7 @@ Laplace's evidence and a prior that is reluctant to add effects.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.mismatch.belief import Belief
-from vehicle_sbi.mismatch.candidates import Direction, null, tile, within
+from vehicle_sbi.mismatch.candidates import Direction, allowed, null, tile, within
 from vehicle_sbi.mismatch.detect import Linearised, Scores, profile, score
 from vehicle_sbi.mismatch.fit import Fit, descend, likeliest, with_own_noise
 from vehicle_sbi.mismatch.laws import Law, under
@@ -35,6 +35,7 @@ SURPRISE = 0.2  # exponent of the density of p-values under something unknown, S
 TEMPER = 0.6  # power of the evidence; it and UNKNOWN were set on 63 simulated diagnoses
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
+BENEFIT = 0.1  # of the doubt: what is kept of a set's probability that held-out recordings speak against
 HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance to add one
 BELIEF = Belief()
 
@@ -179,7 +180,8 @@ def _spans(about: Linearised, free: Repertoire) -> dict[str, dict[Parameter, flo
     for rows in _tiled(free.of.directions, seconds):
         first = free.of.directions[rows[0]]
         sums = np.concatenate([np.zeros_like(free.named[:1]), np.cumsum(free.named[rows], axis=0)])
-        spans = [*itertools.combinations(range(len(sums)), 2)]
+        pairs = itertools.combinations(range(len(sums)), 2)
+        spans = [(start, stop) for start, stop in pairs if allowed(first, stop - start, seconds)]
         changes = np.array([sums[stop] - sums[start] for start, stop in spans])
         low, high = (np.full((len(spans), 1), end) for end in (first.low, first.high))
         tried = profile(about, changes[:, None], low, high)
@@ -247,7 +249,11 @@ def extended(model: Model, version: Version) -> Model | None:
     wider = model.fit.observation.extended(
         replace(simulator, space=ParameterSpace((*simulator.space.parameters, *added)))
     )
-    points = [np.concatenate([model.fit.theta, list(start.values())]) for start in version.starts]
+    space = wider.simulator.space
+    points = [
+        np.clip(np.concatenate([model.fit.theta, list(start.values())]), space.low, space.high)
+        for start in version.starts
+    ]
     fits = [fit for point in points if (fit := likeliest(wider, point, STEPS)) is not None]
     if not fits:
         return None
@@ -287,7 +293,8 @@ def without(model: Model, effect: str) -> Model | None:
 class Explanation:
     """Sets of effects, the most probable first, beside the base model and the best one, which were examined.
 
-    `unnamed` are models with a law that the catalogue does not have, the most probable first.
+    `unnamed` are models with a law that the catalogue does not have, the most probable first; `doubted` sets predict
+    what was held out worse than the base model, so that most of their probability is that of something unknown.
     """
 
     models: list[Model]
@@ -295,6 +302,13 @@ class Explanation:
     base: Examined
     best: Examined
     belief: Belief
+    doubted: frozenset[tuple[str, ...]] = frozenset()
+
+    def doubting(self, effects: Iterable[tuple[str, ...]]) -> "Explanation":
+        """With doubts about some sets."""
+        found = replace(self, doubted=frozenset(effects))
+        order = np.argsort(-np.array(found.probability), kind="stable")
+        return replace(found, models=[self.models[k] for k in order])
 
     @cached_property
     def _shares(self) -> Float[np.ndarray, " k"]:
@@ -306,7 +320,12 @@ class Explanation:
         models = (*self.models, *self.unnamed, self.base.model, self.best.model)
         weights = TEMPER * np.array([model.weight(self.belief) for model in models])
         weights[-1] += np.log(self.belief.unknown * SURPRISE) + (SURPRISE - 1.0) * np.log(self.best.p_adequate)
-        return np.exp(weights - np.logaddexp.reduce(weights))
+        shares = np.exp(weights - np.logaddexp.reduce(weights))
+        for k, model in enumerate(self.models):
+            if model.effects in self.doubted:
+                shares[-1] += (1.0 - BENEFIT) * shares[k]
+                shares[k] *= BENEFIT
+        return shares
 
     @property
     def probability(self) -> list[float]:

@@ -19,6 +19,7 @@ from vehicle_sbi.physics.effects import CATALOGUE
 
 BLOCK_S = 2.0  # [s] of a block of the paired difference
 CONFIDENT = 0.9  # of the bounds on the gain
+WORSE = 0.02  # of a channel's error, by which it has to grow for a model to be worse
 
 
 @dataclass(frozen=True)
@@ -40,11 +41,12 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Gain:
-    """Log score per sample that a model gains over another: mean, standard error, one-sided lower bound."""
+    """Log score per sample that a model gains over another: mean, standard error, one-sided bounds."""
 
     mean: float
     std: float
     low: float
+    high: float
 
     @property
     def certain(self) -> bool:
@@ -107,4 +109,11 @@ def gain(base: Prediction, extended: Prediction, rate: float) -> Gain:
     sums = np.array([part.sum() for part in np.array_split(difference, blocks)])
     scale = len(sums) / base.samples
     mean, std = float(sums.mean() * scale), float(sums.std(ddof=1) / np.sqrt(len(sums)) * scale)
-    return Gain(mean, std, mean - float(t.ppf(CONFIDENT, len(sums) - 1)) * std)
+    reach = float(t.ppf(CONFIDENT, len(sums) - 1)) * std
+    return Gain(mean, std, mean - reach, mean + reach)
+
+
+def worsens(base: Prediction, extended: Prediction, rate: float) -> bool:
+    """Whether a model certainly loses log score over another, and not only because it has more parameters."""
+    larger = any(extended.nrmse[name] > (1.0 + WORSE) * error for name, error in base.nrmse.items())
+    return larger and gain(base, extended, rate).high < 0.0

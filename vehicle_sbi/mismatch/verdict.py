@@ -194,7 +194,7 @@ def verdict(
             name: {"before": _plain(before[name]), "after": _plain(after[name]), "unit": before[name].unit}
             for name in before
         },
-        notes=[*passed.notes, *_rim(explanation.base.model.fit), *case.notes],
+        notes=[*passed.notes, *_rim(explanation.base.model.fit), *_doubts(explanation), *case.notes],
         sentence=sentence(explanation, gained, together, seen, unknown),
     )
 
@@ -224,6 +224,15 @@ def _rim(fit: Fit) -> list[str]:
     """Base parameters that want to leave their box: what is missing may hide in them."""
     names = np.array(fit.simulator.space.names)[~fit.inside]
     return [f"{name} lies on the edge of its prior in the base model, where a mismatch may hide." for name in names]
+
+
+def _doubts(explanation: Explanation) -> list[str]:
+    """Which explanations held-out recordings speak against."""
+    return [
+        f"{_listed(effects)} would predict the held-out recordings worse than the base model does: what it stands for "
+        "is likely to be something else."
+        for effects in sorted(explanation.doubted)
+    ]
 
 
 def _advice(explanation: Explanation, together: Sequence[tuple[str, ...]]) -> str:

@@ -16,7 +16,7 @@ from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.explain import Explanation, explain
 from vehicle_sbi.mismatch.fit import Fit, best
 from vehicle_sbi.mismatch.gate import through
-from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
+from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict, worsens
 from vehicle_sbi.mismatch.separability import Card, card
 from vehicle_sbi.mismatch.verdict import Verdict, chosen, quantity, verdict
 from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
@@ -32,6 +32,7 @@ STAGES = {
     "explanation": "what is missing",
 }
 SCREENED, STARTS = 32, 3  # points that are simulated, and of those the ones from which the base model is fitted
+LIKELY = 0.05  # probability of sets whose predictions of what was held out are looked at
 Result = TypeVar("Result")
 
 
@@ -49,6 +50,7 @@ def diagnose(folder: RunFolder, case: Case, *, seed: int, figures: bool) -> None
             bar,
         )
     with folder.stage("report"):
+        found = doubted(case, found)
         predictions, gained = compared(case, found)
         answer = verdict(case, passed, found, predictions, gained, seen)
         write(folder, found, answer)
@@ -67,6 +69,15 @@ def fitted(case: Case, rng: np.random.Generator) -> Fit:
     off = np.where(valid, (observed - simulator.noise_free(points)) / simulator.noise.floor[:, None], 0.0)
     misfit = np.nan_to_num(np.sum(off**2, axis=(1, 2)), nan=np.inf)
     return best(case.observation, points[np.argsort(misfit)[:STARTS]])
+
+
+def doubted(case: Case, found: Explanation) -> Explanation:
+    """What was found, with doubts about sets of effects that predict what was held out worse than the base model."""
+    if not found.detected:
+        return found
+    base, rate = predict(found.base.model, case.held_out, apart=case.apart), case.held_out.simulator.windows.rate
+    likely = [model for model, p in zip(found.models, found.probability, strict=True) if p > LIKELY]
+    return found.doubting(m.effects for m in likely if worsens(base, predict(m, case.held_out, apart=case.apart), rate))
 
 
 def compared(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gain | None]:
