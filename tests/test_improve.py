@@ -7,8 +7,9 @@ import pytest
 from recorded import fitted, lateral, recorded
 
 from vehicle_sbi.mismatch.candidates import left_out
+from vehicle_sbi.mismatch.examine import Model, examine, versions
 from vehicle_sbi.mismatch.experiment import advice, separations
-from vehicle_sbi.mismatch.explain import Model, examine, extended, versions
+from vehicle_sbi.mismatch.explain import extended
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
 from vehicle_sbi.mismatch.repertoire import Repertoire
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.data.recording import Windows
-from vehicle_sbi.mismatch.explain import Model
+from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.fit import Fit, linearise
 from vehicle_sbi.physics.single_track import INPUTS
 

@@ -13,7 +13,7 @@ from scipy.stats import norm, t
 
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.candidates import null
-from vehicle_sbi.mismatch.explain import Model
+from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.fit import Fit, Observation, linearise
 from vehicle_sbi.physics.effects import CATALOGUE
 

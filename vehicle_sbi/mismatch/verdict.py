@@ -8,8 +8,9 @@ import numpy as np
 from scipy.stats import truncnorm
 
 from vehicle_sbi.mismatch.case import Case
+from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.experiment import advice
-from vehicle_sbi.mismatch.explain import Explanation, Model
+from vehicle_sbi.mismatch.explain import Explanation
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.gate import Gate
 from vehicle_sbi.mismatch.improve import Gain, Prediction
