@@ -313,17 +313,26 @@ def score(
     each = profile(about, changes[:, None], low[:, None], high[:, None])
     gain = np.maximum(each.log_likelihood - none.log_likelihood, 0.0)
     information = np.maximum(each.information[:, 0, 0], 1e-12)
-    singles, groups = Singles.of(about, changes, low, high), [Together.of(about, changes[[*rows]]) for rows in together]
+    groups = [Together.of(about, changes[[*rows]]) for rows in together]
     observed = about.absorbed(about.residual)
     gained_here = [float(group.gains(observed)[0]) for group in groups]
-    scored, gained_there = [np.zeros((0, len(changes)))], [[np.zeros(0)] for _ in groups]
+    null, gained_there = np.zeros((0, len(changes))), np.zeros((0, len(groups)))
+    if draws:
+        null, gained_there = _drawn(about, Singles.of(about, changes, low, high), groups, draws, rng)
+    tested = tuple(Group(one, many) for one, many in zip(gained_here, gained_there.T, strict=True))
+    return Scores(gain, each.size[:, 0], information, low, high, null, tested)
+
+
+def _drawn(
+    about: Linearised, singles: "Singles", groups: Sequence["Together"], draws: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "draws k"], Float[np.ndarray, "draws groups"]]:
+    """Scores of drawn noise, and what each group gains in it."""
+    scored, gains = [], []
     for n in np.diff([*range(0, draws, CHUNK), draws]):
         drawn = about.absorbed(about.drawn(int(n), rng))
         scored.append(singles.scores(drawn))
-        for group, gains in zip(groups, gained_there, strict=True):
-            gains.append(group.gains(drawn))
-    tested = tuple(Group(one, np.concatenate(many)) for one, many in zip(gained_here, gained_there, strict=True))
-    return Scores(gain, each.size[:, 0], information, low, high, np.concatenate(scored), tested)
+        gains.append(np.array([group.gains(drawn) for group in groups]).reshape(len(groups), int(n)).T)
+    return np.concatenate(scored), np.concatenate(gains)
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ SURPRISE = 0.2  # exponent of the density of p-values under something unknown, S
 TEMPER = 0.6  # power of the evidence; set with Belief.unknown on 63 simulated diagnoses, as good on 62 others
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
 BENEFIT = 0.1  # of the doubt: what is kept of a set's probability that held-out recordings speak against
+TOLD_APART = 3  # digits of a probability
 HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance to add one
 BELIEF = Belief()
 
@@ -100,9 +101,21 @@ class Explanation:
 
     def doubting(self, effects: Iterable[tuple[str, ...]]) -> "Explanation":
         """With doubts about some sets."""
-        found = replace(self, doubted=frozenset(effects))
-        order = np.argsort(-np.array(found.probability), kind="stable")
-        return replace(found, models=[self.models[k] for k in order])
+        return replace(self, doubted=frozenset(effects)).in_order()
+
+    def in_order(self) -> "Explanation":
+        """Sets by how probable they are; those that are hardly so alone by how probable beside something unknown."""
+        ranked = sorted(
+            zip(self.models, self.probability, self.standing, strict=True),
+            key=lambda one: (-round(one[1], TOLD_APART), -one[2]),
+        )
+        return replace(self, models=[model for model, _, _ in ranked])
+
+    @property
+    def standing(self) -> list[float]:
+        """How probable each set is, alone or beside something unknown."""
+        beside = self.beside_unknown
+        return [p + beside.get(model.effects, 0.0) for model, p in zip(self.models, self.probability, strict=True)]
 
     @cached_property
     def _shares(self) -> Float[np.ndarray, " k"]:
@@ -179,13 +192,10 @@ class Explanation:
 
     def indistinguishable(self, share: float = 0.9) -> list[tuple[str, ...]]:
         """The smallest set of explanations that holds `share` of the probability of all named ones."""
-        total, kept = sum(self.probability), []
-        for model, probability in zip(self.models, self.probability, strict=True):
-            kept.append(model.effects)
-            share -= probability / total if total > 0 else 1.0
-            if share <= 0:
-                break
-        return kept
+        standing = np.array(self.standing)
+        order = np.argsort(-standing, kind="stable")
+        held = np.cumsum(standing[order]) / max(float(standing.sum()), 1e-300)
+        return [self.models[k].effects for k in order[: int(np.searchsorted(held, share)) + 1]]
 
 
 def explain(
@@ -236,7 +246,7 @@ def explain(
     named = sorted((model for model in pool.values() if model.effects), key=weight, reverse=True)
     if named and weight(named[0]) > weight(best.model):
         best = examine(named[0], repertoire, rng)
-    return Explanation(named, unnamed, first, best, belief)
+    return Explanation(named, unnamed, first, best, belief).in_order()
 
 
 def _exchanged(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Iterator[Model]:
