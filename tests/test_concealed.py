@@ -217,6 +217,12 @@ def test_scores_of_hand_made_verdicts() -> None:
     assert (honest["wrong_name"], honest["said_unknown"], honest["correct"]) == (False, True, True)
     real = truth("single", {"gyro_bias": {"z": 0.01}}, level="L2")
     assert scores.score(real, verdict([(["gyro_bias", "body_roll"], 0.9)], 0.0, 0.1))["correct"]
+    mixed = verdict([(["gyro_bias"], 0.0), (["road_bank"], 0.0)], 0.0, 1.0)
+    for one, beside in zip(mixed["explanations"], (0.6, 0.3), strict=True):
+        one["beside_unknown"] = beside
+    told = scores.score(real, mixed)
+    assert (told["correct"], told["probability"], told["set_size"]) == (True, 0.6, 2)
+    assert scores.score(bias, mixed)["answer"] == "unknown"  # in simulation nothing unknown stands beside what is known
 
 
 def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:

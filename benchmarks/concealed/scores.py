@@ -34,16 +34,15 @@ Json = Mapping[str, Any]
 # --- one case -------------------------------------------------------------------------------------------------------
 
 
-def answers(verdict: Json) -> list[tuple[Answer, float]]:
-    """All answers with their probabilities, the likeliest first."""
+def answers(verdict: Json, *, real: bool = False) -> list[tuple[Answer, float]]:
+    """All answers with their probabilities, the likeliest first; of a real recording each known set with something
+    unknown beside it is an answer of its own."""
     named = [(frozenset(e["effects"]), float(e["probability"])) for e in verdict["explanations"]]
-    rest = [(NONE, float(verdict["p_none"])), (UNKNOWN, float(verdict["p_unknown"]))]
-    return sorted([*named, *rest], key=lambda one: -one[1])
-
-
-def _beside(verdict: Json) -> Answer:
-    """Known effects that stand beside something unknown."""
-    return frozenset((verdict.get("unknown") or {}).get("effects", ()))
+    beside = [(frozenset(e["effects"]) | UNKNOWN, e.get("beside_unknown", 0.0)) for e in verdict["explanations"]]
+    beside = beside if real else []
+    unknown = max(float(verdict["p_unknown"]) - sum(p for _, p in beside), 0.0)
+    rest = [(NONE, float(verdict["p_none"])), (UNKNOWN, unknown)]
+    return sorted([*named, *beside, *rest], key=lambda one: -one[1])
 
 
 def right(truth: Json) -> Answer:
@@ -66,9 +65,7 @@ def _half(answer: Answer, truth: Json, verdict: Json) -> bool:
 
 def score(truth: Json, verdict: Json, floor: Mapping[str, float] | None = None) -> dict[str, Any]:
     """What one verdict is worth; None where a question does not arise. `floor`: NRMSE of the noise, by channel."""
-    ranked = answers(verdict)
-    if truth["level"] == "L2":
-        ranked = [(answer | _beside(verdict) if answer == UNKNOWN else answer, p) for answer, p in ranked]
+    ranked = answers(verdict, real=truth["level"] == "L2")
     top, kind = ranked[0], truth["kind"]
     correct = [agrees(answer, truth) for answer, _ in ranked]
     likely = int(np.searchsorted(np.cumsum([p for _, p in ranked]), INTERVAL - 1e-9)) + 1
