@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from concealed import cases, concealment, drives, injected, outside, scores, setups
+from concealed import baselines, cases, concealment, drives, injected, outside, scores, setups
 from concealed.mix import slot
 from concealed.strength import Given, Noise, Projection, fit, residual, snr
 from concealed.twin import Twin
@@ -179,6 +179,22 @@ def test_a_reader_of_half_a_catalogue_effect_leaves_the_recorded_command_alone()
     assert quiet is not None
     assert np.array_equal(series["steering"], drive.steering)
     assert not np.array_equal(series["yaw_rate"], quiet["yaw_rate"])
+
+
+# --- baselines ------------------------------------------------------------------------------------------------------
+
+
+def test_simpler_methods_see_what_is_large_and_only_that() -> None:
+    world, drive = OwnModel(car=CAR, model="single_track", drive_mode="speed", gain=1.0), plan(amplitude=0.02)
+    rng, heard = np.random.default_rng(0), {}
+    for size in (0.0, 0.02, 2.0):  # of a gyro's bias: none, five standard deviations of a sample, and beyond all prior
+        series = outside.drive(world, drive, {"gyro_bias": {"z": size}})
+        assert series is not None
+        noise = {name: rng.normal(0.0, std, len(drive.t)) for name, std in NOISE.std.items()}
+        heard[size] = baselines.said(GIVEN.simulator([setups.recording("a", drive, series, GIVEN, noise)]))
+    assert heard[0.02]["bic"][0] == heard[0.02]["lasso"][0] == heard[0.02]["correlation"][0] == "gyro_bias"
+    assert heard[0.0]["bic"] == heard[0.0]["lasso"] == heard[0.0]["mmd"] == []
+    assert heard[2.0]["mmd"]
 
 
 # --- scores ---------------------------------------------------------------------------------------------------------
