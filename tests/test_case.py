@@ -80,15 +80,22 @@ def test_a_box_that_excludes_the_null_is_refused_where_existence_is_asked(tmp_pa
         diagnosis([written(tmp_path / "a.csv", 0)], prior=prior).prepare()
 
 
-def test_an_average_keeps_lines_and_their_times() -> None:
-    t = np.arange(11) / 10.0
-    whole = Recording(
-        name="x", rate=10.0, t=t, channels={"a_x": 3.0 * t}, valid={"a_x": t != 0.4}, groups={}, source="x", sha256=""
-    )
-    slow = whole.decimated(2)
-    assert slow.rate == 5.0
-    np.testing.assert_allclose(slow.channels["a_x"], 3.0 * slow.t)
-    assert slow.valid["a_x"].tolist() == [True, True, False, True, True]
+def test_of_a_long_recording_the_liveliest_stretches_are_kept() -> None:
+    # Ten minutes; the fourth is steered, the eighth is braked, and in the sixth steering is not known.
+    t = np.arange(6000) / 10.0
+    minute = (t // 60.0).astype(int)
+    channels = {
+        "steering": np.where(minute == 3, 0.1 * np.sin(t), 0.0) + np.where(minute == 5, np.nan, 0.0),
+        "v_x": 20.0 - np.where(minute == 7, np.minimum(t - 420.0, 5.0), 0.0),
+        "a_y": np.cos(t),
+    }
+    valid = {name: np.isfinite(values) for name, values in channels.items()}
+    whole = Recording(name="x", rate=10.0, t=t, channels=channels, valid=valid, groups={}, source="x", sha256="")
+    kept = whole.liveliest(0.2)
+    assert set(minute[kept.valid["a_y"]]) == {3, 7}
+    assert kept.present_s == 120.0
+    assert kept.notes[-1] == "20% of the time used: where steering and speed change most"
+    assert whole.liveliest(1.0) is whole
 
 
 @pytest.mark.parametrize("hold", [2, 5])

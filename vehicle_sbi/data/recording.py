@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float
 from scipy.signal import savgol_filter
 
@@ -183,26 +184,28 @@ class Recording:
             notes=(*self.notes, note),
         )
 
-    def decimated(self, factor: int) -> "Recording":
-        """The recording at a rate `factor` times lower: means of that many samples, absent where one of them is.
+    @property
+    def present_s(self) -> float:
+        """How long anything was recorded [s]."""
+        return float(np.any([*self.valid.values()], axis=0).sum() / self.rate)
 
-        A mean belongs to the middle of its samples, and so does its time.
+    def liveliest(self, share: float, *, stretch_s: float = 60.0) -> "Recording":
+        """The recording with nothing but the stretches in which steering and speed change most, `share` of its time.
+
+        A stretch is as lively as its variances of the two are large, in units of the whole recording's.
         """
-        if factor == 1:
+        if share >= 1.0:
             return self
-        n = len(self.t) // factor * factor
-
-        def mean(values: np.ndarray) -> np.ndarray:
-            return values[:n].reshape(-1, factor).mean(axis=1)
-
-        return replace(
-            self,
-            rate=self.rate / factor,
-            t=mean(self.t),
-            channels={name: mean(values) for name, values in self.channels.items()},
-            valid={name: valid[:n].reshape(-1, factor).all(axis=1) for name, valid in self.valid.items()},
-            notes=(*self.notes, f"averaged to {self.rate / factor:g} Hz, which keeps the whole of it in memory"),
-        )
+        n = len(self.t)
+        count = max(round(n / self.rate / stretch_s), math.ceil(1.0 / share))
+        of = np.arange(n) * count // n
+        lively = np.zeros(count)
+        for name in {"steering", "v_x"} & self.channels.keys():
+            valid, values = self.valid[name], np.nan_to_num(self.channels[name])
+            each = pd.Series(values[valid]).groupby(of[valid]).var(ddof=0).reindex(range(count), fill_value=0.0)
+            lively += np.nan_to_num(each.to_numpy()) / max(float(np.var(values[valid])), 1e-12)
+        kept = np.isin(of, np.argsort(-lively, kind="stable")[: max(int(share * count), 1)])
+        return self.masked(kept, f"{kept.mean():.0%} of the time used: where steering and speed change most")
 
     def holdout(
         self, *, share: float = 0.25, block_s: float = 10.0, buffer_s: float = 1.0

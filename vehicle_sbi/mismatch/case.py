@@ -16,7 +16,7 @@ from vehicle_sbi.parameters import ParameterSpace
 
 HELD_OUT = 0.25  # share of the recordings' time that is held out where no recording is
 BLOCK_S = 10.0  # [s] of a block that is held out, or a window if that is longer
-MOST_SAMPLES = 60_000  # of the recordings together; longer ones are averaged to a lower rate
+MOST_SAMPLES = 60_000  # of the recordings together; of longer ones the liveliest stretches are used
 MOST_WINDOWS = 40  # into which recordings are cut for fitting; longer ones get longer windows
 STIFFEST = 2.0  # step times rate: modes this fast are stable (to 2.78) and gone within a sample, at half the cost
 START = 2.0  # times what smoothing leaves over, which lacks the slow part of autocorrelated noise, is a start's spread
@@ -56,7 +56,7 @@ class Diagnosis(Setup):
         training, held = self._read()
         inputs = {recording.source: recording.sha256 for _, recording in (*training, *held)}
         names = tuple(recording.name for _, recording in held)
-        seconds = sum(len(recording.t) / recording.rate for _, recording in (*training, *held))
+        seconds = sum(recording.present_s for _, recording in (*training, *held))
         longer = replace(self, window_s=max(self.window_s, seconds / MOST_WINDOWS))
         if not held:
             parts = [
@@ -79,7 +79,7 @@ class Diagnosis(Setup):
         )
 
     def _read(self) -> tuple[list[tuple[RecordingFile, Recording]], list[tuple[RecordingFile, Recording]]]:
-        """Recordings to fit and to hold out with the files that they come from, at a rate that fits in memory."""
+        """Recordings to fit and to hold out with the files that they come from, as much of them as fits in memory."""
         training, held = (
             [(file, file.load()) for file in self._files(given)]
             for given in (self.recordings or [self.recording], self.heldout)
@@ -88,9 +88,9 @@ class Diagnosis(Setup):
         if twice:
             raise InputError(f"heldout: {', '.join(sorted(twice))} is also fitted; hold out another recording")
         most = max(sum(len(recording.t) for _, recording in part) for part in (training, held))
-        factor = -(-most // MOST_SAMPLES)
-        slower = [[(file, recording.decimated(factor)) for file, recording in part] for part in (training, held)]
-        return slower[0], slower[1]
+        share = MOST_SAMPLES / most
+        kept = [[(file, recording.liveliest(share)) for file, recording in part] for part in (training, held)]
+        return kept[0], kept[1]
 
     def _files(self, given: Sequence[str | RecordingFile]) -> list[RecordingFile]:
         """Paths with the settings of `recording`, and named recordings with their own."""
