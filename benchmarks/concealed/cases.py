@@ -33,7 +33,7 @@ def conceal(seed: int, wanted: Slot) -> Built:
     for k in range(MOST_ATTEMPTS):
         if len(short) >= ATTEMPTS and max(short)[0] > 0.0:
             break
-        built, worth = _conceal(seed, wanted, k, wanted.snr)
+        built, worth = _attempted(seed, wanted, k, wanted.snr)
         if built is not None and worth >= 1.0:
             return built
         short.append((worth, -k))
@@ -43,6 +43,14 @@ def conceal(seed: int, wanted: Slot) -> Built:
         if built is not None:
             return built
     raise RuntimeError(f"case {wanted.index}: no attempt lets {wanted} be driven")
+
+
+def _attempted(seed: int, wanted: Slot, k: int, target: float) -> tuple[Built | None, float]:
+    """Attempt k; worth nothing where the car spins out on the way, and so has no derivatives."""
+    try:
+        return _conceal(seed, wanted, k, target)
+    except np.linalg.LinAlgError:
+        return None, 0.0
 
 
 def _conceal(seed: int, wanted: Slot, k: int, target: float, *, anyway: bool = False) -> tuple[Built | None, float]:

@@ -277,6 +277,7 @@ METRICS = (
     Metric("unknown said, SNR 16 and more", lambda t: _kind("outside")(t) & (t["snr"] > 15), "said_unknown", "0.80"),
     Metric("both of a pair, given detected", _kind("pair", detected=True), "both", "0.80"),
     Metric("both, the weaker at SNR 8 and more beyond the other", _pair_at(8.0), "both", "0.80"),
+    Metric("the same, half for what is said to be alike", _pair_at(8.0), "top1"),
     Metric("at least half of a pair, given detected", _kind("pair", detected=True), "one_of_pair"),
     Metric("overlap (IoU) of a time-local effect", _kind("single", "outside", detected=True), "iou", "0.80"),
     Metric("its onset's error [s]", _kind("single", "outside", detected=True), "onset_error", "0.1"),
