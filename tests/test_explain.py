@@ -35,6 +35,16 @@ def test_a_known_effect_is_named_with_its_size() -> None:
     assert sum(found.probability) + found.p_none + found.p_unknown == pytest.approx(1.0)
 
 
+def test_what_is_doubted_is_likely_to_be_something_unknown() -> None:
+    found = explained(recorded(lateral(), body_roll__gradient=0.012))
+    first = found.models[0].effects
+    doubting = found.doubting([first])
+    before, after = (dict(zip([m.effects for m in e.models], e.probability, strict=True)) for e in (found, doubting))
+    assert after[first] == pytest.approx(0.1 * before[first])
+    assert doubting.p_unknown - found.p_unknown == pytest.approx(0.9 * before[first])
+    assert sum(after.values()) + doubting.p_none + doubting.p_unknown == pytest.approx(1.0)
+
+
 def test_what_no_effect_explains_is_unknown_and_is_located() -> None:
     # A burst of 8 standard deviations on one channel that no car makes: a wave at a quarter of the sampling rate would
     # be noise, so a bump that comes and goes twice.

@@ -50,8 +50,7 @@ def diagnose(folder: RunFolder, case: Case, *, seed: int, figures: bool) -> None
             bar,
         )
     with folder.stage("report"):
-        found = doubted(case, found)
-        predictions, gained = compared(case, found)
+        found, predictions, gained = judged(case, found)
         answer = verdict(case, passed, found, predictions, gained, seen)
         write(folder, found, answer)
         if figures:
@@ -71,24 +70,18 @@ def fitted(case: Case, rng: np.random.Generator) -> Fit:
     return best(case.observation, points[np.argsort(misfit)[:STARTS]])
 
 
-def doubted(case: Case, found: Explanation) -> Explanation:
-    """What was found, with doubts about sets of effects that predict what was held out worse than the base model."""
-    if not found.detected:
-        return found
+def judged(case: Case, found: Explanation) -> tuple[Explanation, dict[str, Prediction], Gain | None]:
+    """What was found, with doubts about sets of effects that predict what was held out worse than the base model; how
+    base and extended model predict it, and what the latter gains."""
     base, rate = predict(found.base.model, case.held_out, apart=case.apart), case.held_out.simulator.windows.rate
+    if not found.detected or not found.models:
+        return found, {"base": base}, None
     likely = [model for model, p in zip(found.models, found.probability, strict=True) if p > LIKELY]
-    return found.doubting(m.effects for m in likely if worsens(base, predict(m, case.held_out, apart=case.apart), rate))
-
-
-def compared(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gain | None]:
-    """How base and extended model predict what was held out, and what the latter gains."""
-    predictions = {"base": predict(found.base.model, case.held_out, apart=case.apart)}
+    tried = {model.effects: predict(model, case.held_out, apart=case.apart) for model in likely}
+    found = found.doubting(effects for effects, one in tried.items() if worsens(base, one, rate))
     model = chosen(found)
-    if not model.effects:
-        return predictions, None
-    predictions["extended"] = predict(model, case.held_out, apart=case.apart)
-    rate = case.held_out.simulator.windows.rate
-    return predictions, gain(predictions["base"], predictions["extended"], rate)
+    best = tried.get(model.effects) or predict(model, case.held_out, apart=case.apart)
+    return found, {"base": base, "extended": best}, gain(base, best, rate)
 
 
 def _kept(folder: RunFolder, name: str, compute: Callable[[], Result], bar: tqdm) -> Result:
