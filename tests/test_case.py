@@ -115,3 +115,15 @@ def test_a_rest_between_moves_stays_a_rest() -> None:
 def test_a_signal_that_is_not_held_stays_as_it_is() -> None:
     wave = np.sin(np.arange(200) / 7.0)
     np.testing.assert_array_equal(unheld(wave), wave)
+
+
+def test_half_of_what_is_held_out_helps_to_name_and_the_other_half_proves(tmp_path: Path) -> None:
+    fitted, held = written(tmp_path / "a.csv", 0), written(tmp_path / "b.csv", 1)
+    case = diagnosis([fitted], [held]).prepare()
+    assert case.apart
+    assert case.naming is not None
+    naming, proving = (one.simulator.windows.valid for one in (case.naming, case.held_out))
+    assert not (naming & proving).any()
+    assert naming.any(axis=1).all()
+    assert proving.any(axis=1).all()
+    assert diagnosis([fitted], window_s=2.0).prepare().naming is None  # blocks of the same drive tell nothing new

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from concealed import baselines, cases, concealment, drives, injected, outside, scores, setups
+from concealed import baselines, cases, concealment, drives, injected, oracle, outside, scores, setups
 from concealed.mix import slot
 from concealed.strength import Given, Noise, Projection, fit, residual, snr
 from concealed.twin import Twin
@@ -258,6 +258,29 @@ def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
     assert row["size_covered"] == pytest.approx(2 / 3)
     assert (row["bias_before"], row["bias_after"]) == (pytest.approx(2.0), pytest.approx(0.5))
     assert row["removed"] == pytest.approx(0.75)
+
+
+def test_an_oracle_is_no_better_than_the_noise_and_no_worse_than_who_does_not_know(tmp_path: Path) -> None:
+    # What is left over cannot be less than the noise that was added, but for the initial states, which take up to 3 of
+    # 500 samples, and its own scatter: 4 / sqrt(2 n) with the n of 5 s at 50 Hz, longer where noise is slow.
+    def wanted(i: int) -> bool:
+        one = slot(1, i, list(injected.INJECTED))
+        return one.level == "L0" and one.kind == "single" and one.snr == 32.0 and one.effects[0] == "gyro_bias"
+
+    index = next(i for i in range(5000) if wanted(i))
+    cases.build(1, index, tmp_path, injected.build, list(injected.INJECTED))
+    case, sealed = tmp_path / "cases" / f"{index:04d}", tmp_path / "sealed" / f"{index:04d}.json"
+    truth = json.loads(sealed.read_text())
+    oracle.write(case, sealed)
+    knowing = json.loads(sealed.with_suffix(".oracle.json").read_text())
+    ignorant = oracle.errors(case, truth | {"effects": {}})
+    held = oracle.held_out(case, truth)
+    windows = held.simulator.windows
+    for c, name in enumerate(windows.channels):
+        n = windows.valid[c].sum() * (1.0 - truth["noise"]["rho"].get(name, 0.0))
+        floor = truth["noise"]["std"][name] / np.std(held.observed[c, windows.valid[c]])
+        assert knowing[name] > floor * (1.0 - 4.0 / np.sqrt(2.0 * n) - 0.01)
+    assert knowing["yaw_rate"] < ignorant["yaw_rate"]
 
 
 def test_intervals_and_calibration_by_hand() -> None:

@@ -10,7 +10,7 @@ from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.examine import Model, examine, versions
 from vehicle_sbi.mismatch.experiment import advice, separations
 from vehicle_sbi.mismatch.explain import extended
-from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict, worsens
+from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
 from vehicle_sbi.mismatch.repertoire import Repertoire
 
 
@@ -66,14 +66,6 @@ def test_a_gain_is_the_mean_difference_and_its_error_that_of_blocks() -> None:
     assert found.std == pytest.approx(np.std([1, 3, 1, 3], ddof=1) / 2)
     assert found.low < found.mean
     assert not Gain(1.0, 1.0, -0.5, 2.5).certain
-
-
-@pytest.mark.parametrize(("loss", "error", "worse"), [(1.0, 1.1, True), (1.0, 1.0, False), (-1.0, 1.1, False)])
-def test_a_model_is_worse_by_a_certain_loss_and_a_larger_error(loss: float, error: float, worse: bool) -> None:
-    blank, wave = np.zeros((1, 400)), 0.1 * np.sin(np.arange(400.0))[None]
-    base = Prediction({"a_y": 1.0}, 0.9, blank, blank, blank, 400)
-    extended = Prediction({"a_y": error}, 0.9, wave - loss, blank, blank, 400)
-    assert worsens(base, extended, rate=20.0) is worse
 
 
 def test_a_drive_that_separates_is_one_in_which_the_models_differ(models: dict[str, Model]) -> None:

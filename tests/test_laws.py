@@ -9,7 +9,8 @@ from recorded import TRUTH, fitted, lateral, recorded
 from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.explain import Explanation, explain
 from vehicle_sbi.mismatch.fit import Observation
-from vehicle_sbi.mismatch.laws import Law, law_slopes, laws, signals, under
+from vehicle_sbi.mismatch.laws import Law, law_slopes, laws, moved, under
+from vehicle_sbi.physics.single_track import INPUTS
 
 
 def explained(observation: Observation) -> Explanation:
@@ -31,12 +32,27 @@ def under_law(name: str, size: float) -> Observation:
     return replace(observation, observed=observation.observed + change)
 
 
-def test_signals_have_a_root_mean_square_of_one_and_change() -> None:
-    found = signals(lateral(), TRUTH)
+def test_laws_follow_signals_that_change_with_a_root_mean_square_of_one() -> None:
+    sim = lateral()
+    found = {one.signal: one.course for one in laws(sim, TRUTH, sim.noise_free(TRUTH[None])[0])}
     assert {"steering", "a_y cubed", "yaw rate times time", "direction of steering"} <= found.keys()
     assert "speed" not in found  # it is constant here
     for course in found.values():
         assert np.mean(course**2) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("signal", ["steering", "a_y cubed", "steering times time", "|yaw rate|"])
+def test_a_law_keeps_its_units_in_another_recording(signal: str) -> None:
+    """In a drive that steers half as much a law that it found keeps its size: the very same course, as far as theory
+    is linear or the signal an input."""
+    sim, one = lateral(), law(f"moment about z with {signal}")
+    assert np.array_equal(moved(one, sim, TRUTH).course, one.course)
+    u = sim.windows.u.copy()
+    u[..., INPUTS.index("steering")] *= 0.5
+    gentler = replace(sim, windows=replace(sim.windows, u=u))
+    there = moved(one, gentler, TRUTH).course
+    factor = 0.5 ** (3 if "cubed" in signal else 1)
+    assert np.sqrt(np.mean(there**2)) == pytest.approx(factor, rel=0.05 if "steering" not in signal else 1e-9)
 
 
 @pytest.mark.parametrize("name", ["moment about z with steering", "error of the steering angle with |steering|",

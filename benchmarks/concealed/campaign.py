@@ -21,7 +21,7 @@ import pandas as pd
 import yaml
 from tqdm import tqdm
 
-from concealed import baselines, cases, injected, scores
+from concealed import baselines, cases, injected, oracle, scores
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_text
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -67,6 +67,7 @@ def work(folder: Path, seed: int, index: int, stages: Mapping[str, bool], script
     case = folder / "cases" / f"{index:04d}"
     try:
         cases.build(seed, index, folder, injected.build, list(injected.INJECTED))
+        oracle.write(case, folder / "sealed" / f"{index:04d}.json")
         if stages["baselines"]:
             baselines.write(case)
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:

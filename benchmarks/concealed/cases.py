@@ -140,7 +140,6 @@ def _truth(wanted: Slot, built: Built, once: set[str], held: Sequence[str]) -> d
         "noise": asdict(setup.noise),
         "base_parameters": dict(zip(built.simulator.space.names, map(float, setup.theta), strict=True)),
         "base_fit": dict(zip(built.simulator.space.names, map(float, built.theta), strict=True)),
-        "heldout_floor": {name: setup.noise.std[name] for name in setup.given.channels},
         "heldout": list(held),
         "heldout_comparable": not once,
         "vehicle": {k: v for k, v in asdict(setup.truth).items() if v is not None and v != math.inf},

@@ -240,7 +240,6 @@ def build(seed: int, wanted: Slot, case: Path, sealed: Path) -> None:
         "noise": None,
         "base_parameters": {},
         "base_fit": dict(zip(chosen.given.prior, map(float, chosen.theta), strict=True)),
-        "heldout_floor": {},
         "heldout": ["heldout_0.csv"],
         "heldout_comparable": False,
     }  # fmt: skip

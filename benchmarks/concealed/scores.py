@@ -26,7 +26,7 @@ from vehicle_sbi.report.tables import markdown
 LEVELS = ("L0", "L1", "L2")
 INTERVAL = 0.9
 NONE, UNKNOWN = frozenset(["none"]), frozenset(["unknown"])
-REDUCIBLE = 0.05  # of the noise floor, that the base model's misfit has to exceed it by to count as reducible
+REDUCIBLE = 0.05  # of the oracle's error, that the base model's has to exceed it by to count as reducible
 Answer = frozenset[str]
 Json = Mapping[str, Any]
 
@@ -63,8 +63,8 @@ def _half(answer: Answer, truth: Json, verdict: Json) -> bool:
     return right(truth) <= answer.union(*groups) if truth["kind"] in ("single", "pair") else False
 
 
-def score(truth: Json, verdict: Json, floor: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """What one verdict is worth; None where a question does not arise. `floor`: NRMSE of the noise, by channel."""
+def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None) -> dict[str, Any]:
+    """What one verdict is worth; None where a question does not arise. `oracle`: NRMSE of one who knows, by channel."""
     ranked = answers(verdict, real=truth["level"] == "L2")
     top, kind = ranked[0], truth["kind"]
     correct = [agrees(answer, truth) for answer, _ in ranked]
@@ -91,7 +91,7 @@ def score(truth: Json, verdict: Json, floor: Mapping[str, float] | None = None) 
         "said_unknown": top[0] == UNKNOWN if kind == "outside" else None,
     }
     return row | _place(truth, verdict) | _sizes(truth, verdict, best[0]) | _base(truth, verdict) | {
-        "removed": _removed(truth, verdict, floor)
+        "removed": _removed(verdict, oracle)
     }  # fmt: skip
 
 
@@ -147,27 +147,18 @@ def _base(truth: Json, verdict: Json) -> dict[str, Any]:
     return out
 
 
-def _removed(truth: Json, verdict: Json, floor: Mapping[str, float] | None) -> float | None:
-    """Share of the held-out misfit above the noise that the extended model takes away, over channels."""
+def _removed(verdict: Json, oracle: Mapping[str, float] | None) -> float | None:
+    """Share of the held-out misfit beyond the oracle's that the extended model takes away, over channels."""
     fit = verdict.get("fit") or {}
-    if not floor or not truth["heldout_comparable"] or truth["kind"] == "none" or not fit.get("extended"):
+    if not oracle or not fit.get("extended"):
         return None
     base, extended = fit["base"]["nrmse"], fit["extended"]["nrmse"]
-    shared = [c for c in base if c in extended and c in floor and base[c] > (1.0 + REDUCIBLE) * floor[c]]
-    over = sum(base[c] - floor[c] for c in shared)
+    shared = [c for c in base if c in extended and c in oracle and base[c] > (1.0 + REDUCIBLE) * oracle[c]]
+    over = sum(base[c] - oracle[c] for c in shared)
     return sum(base[c] - extended[c] for c in shared) / over if shared else None
 
 
 # --- all cases ------------------------------------------------------------------------------------------------------
-
-
-def noise_floor(case: Path, truth: Json) -> dict[str, float] | None:
-    """Noise of each held-out channel over the channel's standard deviation; None where it is not known."""
-    if not truth.get("heldout_floor"):
-        return None
-    tables = pd.concat([pd.read_csv(case / name) for name in truth["heldout"]])
-    columns = {c: next(k for k in tables.columns if k.startswith(f"{c}_")) for c in truth["heldout_floor"]}
-    return {c: std / float(np.nanstd(tables[columns[c]])) for c, std in truth["heldout_floor"].items()}
 
 
 def row(folder: Path, index: int) -> dict[str, Any]:
@@ -193,7 +184,9 @@ def row(folder: Path, index: int) -> dict[str, Any]:
     out["seconds"] = json.loads(run.read_text())["seconds"] if run.exists() else None
     verdict = case / "diagnosis" / "verdict.json"
     if verdict.exists():
-        out |= score(truth, json.loads(verdict.read_text()), noise_floor(case, truth))
+        knowing = folder / "sealed" / f"{name}.oracle.json"
+        oracle = json.loads(knowing.read_text()) if knowing.exists() else None
+        out |= score(truth, json.loads(verdict.read_text()), oracle)
     said = json.loads((case / "baselines.json").read_text()) if (case / "baselines.json").exists() else {}
     for method, names in said.items():
         out[f"{method}_answer"] = names[0] if names else "none"

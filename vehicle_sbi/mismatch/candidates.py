@@ -17,7 +17,9 @@ from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, Effect
 from vehicle_sbi.physics.single_track import INPUTS
 
-STEP = 0.05  # of a parameter's prior width, for differences from its null: enough for a lag to outlast a sample
+STEPS = (0.05, 0.3, 0.6)  # of a parameter's prior width, for differences from its null; the first one that changes
+# anything is taken: enough for a lag to outlast a sample, and grip shows only once it is used up
+MOST = 0.9  # of the way to the prior's farther bound, at most
 SHAPES = 3  # values at which a parameter of shape is held
 SPAN = ("start", "duration")
 TILES = 16  # of the recordings' time, of which what comes and goes is made up
@@ -27,11 +29,20 @@ LENGTHS = (1, 2, 4, 8)  # tiles that something may last, begun at every half of 
 
 @dataclass(frozen=True)
 class Direction:
-    """A parameter along which an effect leaves its null, with the effect's other parameters held where it can act."""
+    """A parameter along which an effect leaves its null, with the effect's other parameters held where it can act.
+
+    `step` is the part of its prior's width that it takes for anything to change.
+    """
 
     effect: str
     parameter: Parameter
     held: dict[Parameter, float]
+    step: float = STEPS[0]
+
+    @property
+    def away(self) -> float:
+        """Where the parameter is once it has left its null by a step."""
+        return away(self.parameter, self.step)
 
     @property
     def low(self) -> float:
@@ -72,10 +83,11 @@ def middle(p: Parameter) -> float:
     return 0.5 * (null(p) + (p.high if p.high - null(p) >= null(p) - p.low else p.low))
 
 
-def away(p: Parameter) -> float:
-    """A small step from the null into the prior."""
-    width = STEP * (p.high - p.low)
-    return null(p) + (width if p.high - null(p) >= null(p) - p.low else -width)
+def away(p: Parameter, step: float) -> float:
+    """A step from the null into the prior, in units of its width."""
+    up, down = p.high - null(p), null(p) - p.low
+    width = min(step * (p.high - p.low), MOST * max(up, down))
+    return null(p) + (width if up >= down else -width)
 
 
 def extent(simulator: Simulator) -> float:
@@ -111,25 +123,30 @@ def responses(
 
 
 def directions(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effect) -> list[Direction]:
-    """Along which parameters an effect can leave its null here.
+    """Along which parameters an effect can leave its null here, by as small a step as changes anything.
 
     A parameter that changes nothing by itself (the duration of a gust without force) gives the effect its shape: the
     others are tried with it held in the middle of its prior. If no parameter acts by itself, the first one that makes
     the effect vanish whatever the shape is the direction.
     """
     effect = within(simulator, effect)
+    return next((found for step in STEPS if (found := _stepping(simulator, theta, effect, step))), [])
+
+
+def _stepping(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effect, step: float) -> list[Direction]:
+    """Along which parameters an effect changes anything by a step."""
     free = tuple(p for p in effect.parameters if p.name not in simulator.space.names)
-    tried = responses(simulator, theta, [{}, *({p: away(p)} for p in free)])
+    tried = responses(simulator, theta, [{}, *({p: away(p, step)} for p in free)])
     quiet, alone = tried[0], tried[1:]
     acts = {p: _differ(y, quiet) for p, y in zip(free, alone, strict=True)}
     held = {p: middle(p) for p in free if not acts[p]}
     if any(acts.values()):
-        return [_shaped(simulator, theta, Direction(effect.name, p, held)) for p in free if acts[p]]
+        return [_shaped(simulator, theta, Direction(effect.name, p, held, step)) for p in free if acts[p]]
     for p in free:
         shape = {other: value for other, value in held.items() if other is not p}
-        rested, moved = responses(simulator, theta, [shape, shape | {p: away(p)}])
+        rested, moved = responses(simulator, theta, [shape, shape | {p: away(p, step)}])
         if np.array_equal(rested, quiet) and not np.array_equal(moved, quiet):
-            return [_shaped(simulator, theta, Direction(effect.name, p, shape))]
+            return [_shaped(simulator, theta, Direction(effect.name, p, shape, step))]
     return []
 
 
@@ -141,7 +158,7 @@ def _shaped(simulator: Simulator, theta: Float[np.ndarray, " d"], direction: Dir
     """The direction without those held parameters that make no difference to it."""
     if not direction.held:
         return direction
-    moved = {**direction.held, direction.parameter: away(direction.parameter)}
+    moved = {**direction.held, direction.parameter: direction.away}
     y = responses(simulator, theta, [moved, *({**moved, p: null(p)} for p in direction.held)])
     matters = {
         p: value for (p, value), other in zip(direction.held.items(), y[1:], strict=True) if _differ(other, y[0])
@@ -196,7 +213,7 @@ def tiles(simulator: Simulator, direction: Direction) -> list[Direction]:
 def slopes(
     simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[Direction]
 ) -> Float[np.ndarray, "k channels time"]:
-    """Change of the series per unit of each direction's parameter, from a small step off the null."""
-    y = responses(simulator, theta, [{}, *({**d.held, d.parameter: away(d.parameter)} for d in found)])
-    steps = np.array([away(d.parameter) - null(d.parameter) for d in found])
+    """Change of the series per unit of each direction's parameter, from a step off the null."""
+    y = responses(simulator, theta, [{}, *({**d.held, d.parameter: d.away} for d in found)])
+    steps = np.array([d.away - null(d.parameter) for d in found])
     return (y[1:] - y[0]) / steps[:, None, None]

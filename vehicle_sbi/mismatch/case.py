@@ -20,15 +20,20 @@ MOST_SAMPLES = 60_000  # of the recordings together; of longer ones the livelies
 MOST_WINDOWS = 40  # into which recordings are cut for fitting; longer ones get longer windows
 STIFFEST = 2.0  # step times rate: modes this fast are stable (to 2.78) and gone within a sample, at half the cost
 START = 2.0  # times what smoothing leaves over, which lacks the slow part of autocorrelated noise, is a start's spread
+Read = list[tuple[RecordingFile, Recording]]
 NO_DRAWS = DrawnProcessNoise(Mixture(np.zeros(0), np.zeros(0)), Mixture(np.zeros(0), np.zeros(0)), False)
 
 
 @dataclass(frozen=True)
 class Case:
-    """Observations to fit and to hold out, with what was read on the way."""
+    """Observations to fit and to hold out, with what was read on the way.
+
+    `naming` is the part of held-out recordings that helps to tell names apart; `held_out` has seen none of that.
+    """
 
     name: str
     observation: Observation
+    naming: Observation | None
     held_out: Observation
     held_out_names: tuple[str, ...]
     apart: bool
@@ -41,7 +46,8 @@ class Case:
 class Diagnosis(Setup):
     """Which recordings are fitted and which are held out; a path is read as `recording` says, which stands alone too.
 
-    Without held-out recordings, blocks of the others' time are held out, with a buffer around them.
+    Without held-out recordings, blocks of the others' time are held out, with a buffer around them. With them, half of
+    their time helps to name what is missing and the other half proves it.
     """
 
     recording: RecordingFile
@@ -67,10 +73,15 @@ class Diagnosis(Setup):
             held = [(file, out) for file, (_, out) in parts]
             names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
         observation = longer.observe(space, training)
+        held_out = longer.observe(space, held, like=observation)
+        naming, proving = halves(held_out)
+        if not (self.heldout and naming.anything and proving.anything):
+            naming, proving = None, held_out
         return Case(
             name=f"{self.vehicle.name} from {', '.join(recording.name for _, recording in training)}",
             observation=observation,
-            held_out=longer.observe(space, held, like=observation),
+            naming=naming,
+            held_out=proving,
             held_out_names=names,
             apart=bool(self.heldout),
             notes=observation.simulator.windows.notes,
@@ -78,7 +89,7 @@ class Diagnosis(Setup):
             belief=self.belief,
         )
 
-    def _read(self) -> tuple[list[tuple[RecordingFile, Recording]], list[tuple[RecordingFile, Recording]]]:
+    def _read(self) -> tuple[Read, Read]:
         """Recordings to fit and to hold out with the files that they come from, as much of them as fits in memory."""
         training, held = (
             [(file, file.load()) for file in self._files(given)]
@@ -108,6 +119,13 @@ class Diagnosis(Setup):
         if like is not None:
             simulator = replace(simulator, substeps=max(simulator.substeps, like.simulator.substeps))
         return Observation(simulator, np.where(windows.valid, windows.y, 0.0), isinstance(self.noise, EstimatedNoise))
+
+
+def halves(held: Observation) -> tuple[Observation, Observation]:
+    """Every other window, the first one included, and the rest; of a single window its earlier and its later half."""
+    windows, length = len(held.simulator.windows.t), held.simulator.windows.t.shape[1]
+    part = np.arange(windows * length) // (length if windows > 1 else (length + 1) // 2)
+    return held.masked(part % 2 == 0), held.masked(part % 2 == 1)
 
 
 def _check_nulls(space: ParameterSpace) -> None:

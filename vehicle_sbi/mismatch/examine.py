@@ -24,13 +24,15 @@ from vehicle_sbi.parameters import Parameter
 LEVEL = 0.05  # of the test whether anything is missing
 ALIKE = 0.98  # coherence with a direction of the catalogue from which a law says nothing new
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
+TOLD = 0.3  # power of the likelihood of what a model foretells, which whatever else is missing spoils
 
 
 @dataclass(frozen=True)
 class Model:
     """The base model with a set of effects, fitted; `explained` is the score of all of them together.
 
-    `law` is what it has beside them that the catalogue does not, `choice` the number of laws that it was chosen from.
+    `law` is what it has beside them that the catalogue does not, `choice` the number of laws that it was chosen from;
+    `told` how much likelier it makes recordings that it was not fitted to than the base model does (log likelihood).
     """
 
     effects: tuple[str, ...]
@@ -38,15 +40,16 @@ class Model:
     explained: float
     law: Law | None = None
     choice: int = 1
+    told: float = 0.0
 
     @property
     def log_evidence(self) -> float:
         return self.fit.log_evidence
 
     def weight(self, belief: Belief) -> float:
-        """Log prior plus log evidence."""
+        """Log prior plus log evidence, that of what is foretold included."""
         laws = None if self.law is None else self.choice
-        return belief.log_prior(len(self.effects), laws) + self.log_evidence
+        return belief.log_prior(len(self.effects), laws) + self.log_evidence + TOLD * self.told
 
 
 @dataclass(frozen=True)

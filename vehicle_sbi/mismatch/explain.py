@@ -4,10 +4,11 @@ From the base model on, the most promising effects by their first-order scores a
 parameters are fitted again, under noise of its own. A model that still leaves something over is extended further.
 Beside each stand laws that no effect of the catalogue has, fitted alike: those that do better make *unknown* probable,
 and so does what the best set leaves over, by how often noise alone would leave as much. Probabilities follow from
-Laplace's evidence and a prior that is reluctant to add effects.
+Laplace's evidence and a prior that is reluctant to add effects. Further recordings, which nothing is fitted to, count
+by how likely each model makes them.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +18,8 @@ from jaxtyping import Float
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.candidates import Direction, within
 from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model, Version, examine, glance, versions
-from vehicle_sbi.mismatch.fit import Fit, descend, likeliest, with_own_noise
+from vehicle_sbi.mismatch.fit import Fit, Observation, descend, likeliest, with_own_noise
+from vehicle_sbi.mismatch.foretell import Foretold, foretold
 from vehicle_sbi.mismatch.laws import under
 from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.parameters import ParameterSpace
@@ -28,10 +30,14 @@ LEAST_SHARE, SLACK = 0.65, 8.0  # of the best one's first-order evidence that th
 BEAM = 2  # models that are extended further
 LAWS_TRIED = 2  # that are fitted fully beside a model
 SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
+SURPRISE_TOLD = 0.5  # the same for the p-value of what is foretold
+FAILED = -1e3  # log likelihood of what cannot be simulated
+DOUBTED = -1.0  # log likelihood of what is foretold, beyond the base model's, below which a set is doubted
+BENEFIT = 0.1  # of the doubt: what is kept of its odds
 TEMPER = 0.6  # power of the evidence; set with Belief.unknown on 63 simulated diagnoses, as good on 62 others
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
-BENEFIT = 0.1  # of the doubt: what is kept of a set's probability that held-out recordings speak against
 TOLD_APART = 3  # digits of a probability
+LEAST_P = 1e-9  # that counts as one
 HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance to add one
 BELIEF = Belief()
 
@@ -88,8 +94,8 @@ def without(model: Model, effect: str) -> Model | None:
 class Explanation:
     """Sets of effects, the most probable first, beside the base model and the best one, which were examined.
 
-    `unnamed` are models with a law that the catalogue does not have, the most probable first; `doubted` sets predict
-    what was held out worse than the base model, so that most of their probability is that of something unknown.
+    `unnamed` are models with a law that the catalogue does not have, the most probable first; `p_told` is how often
+    the best one's parameters would seem to move as much from one recording to another, if anything was foretold.
     """
 
     models: list[Model]
@@ -97,11 +103,19 @@ class Explanation:
     base: Examined
     best: Examined
     belief: Belief
-    doubted: frozenset[tuple[str, ...]] = frozenset()
+    p_told: float | None = None
 
-    def doubting(self, effects: Iterable[tuple[str, ...]]) -> "Explanation":
-        """With doubts about some sets."""
-        return replace(self, doubted=frozenset(effects)).in_order()
+    def foretelling(self, further: Observation, *, apart: bool) -> "Explanation":
+        """With what further recordings say of each model; as it is where the base model fails there."""
+        base = foretold(self.base.model, further, apart=apart)
+        if base is None or not self.detected:
+            return self
+        best = _told(self.best.model, base, further, apart)
+        models, unnamed = (
+            [_told(model, base, further, apart)[0] for model in some] for some in (self.models, self.unnamed)
+        )
+        told = replace(self, models=models, unnamed=unnamed, best=replace(self.best, model=best[0]), p_told=best[1])
+        return told.in_order()
 
     def in_order(self) -> "Explanation":
         """Sets by how probable they are; those that are hardly so alone by how probable beside something unknown."""
@@ -122,17 +136,17 @@ class Explanation:
         """Probabilities of all sets, of all with a law, of none and of what is left over, in this order.
 
         Evidence is tempered: it takes the noise for exactly what it was modelled as and the search for complete, and
-        so comes out too sure. What is unknown is as probable as what the best model leaves over is surprising.
+        so comes out too sure. What is unknown is as probable as what the best model leaves over, and how its
+        parameters move from one recording to another, are surprising. What a right set adds to the base model does not
+        harm it elsewhere; one that does is doubted.
         """
         models = (*self.models, *self.unnamed, self.base.model, self.best.model)
         weights = TEMPER * np.array([model.weight(self.belief) for model in models])
-        weights[-1] += np.log(self.belief.unknown * SURPRISE) + (SURPRISE - 1.0) * np.log(self.best.p_adequate)
-        shares = np.exp(weights - np.logaddexp.reduce(weights))
-        for k, model in enumerate(self.models):
-            if model.effects in self.doubted:
-                shares[-1] += (1.0 - BENEFIT) * shares[k]
-                shares[k] *= BENEFIT
-        return shares
+        weights[: len(self.models)] += np.log([BENEFIT if doubted(model) else 1.0 for model in self.models])
+        weights[-1] += np.log(self.belief.unknown) + _surprise(self.best.p_adequate, SURPRISE)
+        if self.p_told is not None:
+            weights[-1] += _surprise(self.p_told, SURPRISE_TOLD)
+        return np.exp(weights - np.logaddexp.reduce(weights))
 
     @property
     def probability(self) -> list[float]:
@@ -198,6 +212,24 @@ class Explanation:
         return [self.models[k].effects for k in order[: int(np.searchsorted(held, share)) + 1]]
 
 
+def doubted(model: Model) -> bool:
+    """Whether further recordings are less likely under the model than under the base model."""
+    return model.told < DOUBTED
+
+
+def _told(model: Model, base: Foretold, further: Observation, apart: bool) -> tuple[Model, float]:
+    """The model with what it foretells of further recordings beyond the base model, and the p-value of that."""
+    found = foretold(model, further, apart=apart)
+    if found is None:
+        return replace(model, told=FAILED), LEAST_P
+    return replace(model, told=found.log_likelihood - base.log_likelihood), found.p_value
+
+
+def _surprise(p: float, exponent: float) -> float:
+    """Log density of a p-value under something unknown, against that of nothing."""
+    return float(np.log(exponent) + (exponent - 1.0) * np.log(max(p, LEAST_P)))
+
+
 def explain(
     base: Fit,
     known: Sequence[Direction],
@@ -240,22 +272,24 @@ def explain(
         unnamed += ruled(best)
         promising |= {version.effect for examined in frontier for version in versions(examined)[:TRIED]}
     unnamed.sort(key=weight, reverse=True)
-    for model in _exchanged(best.model, repertoire.only(promising), rng):
+    for model in exchanged(best.model, repertoire.only(promising), rng):
         tried(" + ".join(model.effects))
-        pool.setdefault(model.effects, model)
+        pool[model.effects] = max(model, pool.get(model.effects, model), key=weight)
     named = sorted((model for model in pool.values() if model.effects), key=weight, reverse=True)
     if named and weight(named[0]) > weight(best.model):
         best = examine(named[0], repertoire, rng)
     return Explanation(named, unnamed, first, best, belief).in_order()
 
 
-def _exchanged(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Iterator[Model]:
-    """A set of several effects with each of them exchanged for others that promise as much in its place.
+def exchanged(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Iterator[Model]:
+    """A set of several effects without each of them, and with others that promise as much in its place.
 
-    The search has grown the set one by one, and so has not seen what could stand in for those that came first.
+    The search has grown the set one by one, and so has not seen what could stand in for those that came first; nor what
+    the base model's parameters can do without them once they are freed of what they had absorbed.
     """
     for effect in model.effects if len(model.effects) > 1 else ():
         if (rest := without(model, effect)) is not None:
+            yield rest
             yield from _grow(glance(rest, repertoire, rng))
 
 

@@ -49,6 +49,18 @@ class Observation:
     def extended(self, simulator: Simulator) -> "Observation":
         return replace(self, simulator=simulator)
 
+    @property
+    def anything(self) -> bool:
+        """Whether there is any sample to fit."""
+        return bool(self.simulator.windows.valid.any())
+
+    def masked(self, kept: Bool[np.ndarray, " time"]) -> "Observation":
+        """With nothing but some of its samples."""
+        windows = self.simulator.windows
+        valid = windows.valid & kept
+        simulator = replace(self.simulator, windows=replace(windows, valid=valid))
+        return replace(self, simulator=simulator, observed=np.where(valid, self.observed, 0.0))
+
 
 @dataclass(frozen=True)
 class Linear:

@@ -5,21 +5,18 @@ own initial states marginalised. The gain is the paired difference of log score 
 blocks of time long enough to be nearly independent.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, t
 
-from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch.candidates import null
 from vehicle_sbi.mismatch.examine import Model
-from vehicle_sbi.mismatch.fit import Fit, Observation, linearise
-from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.mismatch.fit import Observation
+from vehicle_sbi.mismatch.foretell import elsewhere
 
 BLOCK_S = 2.0  # [s] of a block of the paired difference
 CONFIDENT = 0.9  # of the bounds on the gain
-WORSE = 0.02  # of a channel's error, by which it has to grow for a model to be worse
 
 
 @dataclass(frozen=True)
@@ -53,26 +50,10 @@ class Gain:
         return self.low > 0.0
 
 
-def _timed(name: str) -> bool:
-    """Whether a parameter belongs to an effect that is tied to the clock of the recording it was fitted to."""
-    effect = CATALOGUE.get(name.split(".")[0])
-    return effect is not None and effect.timed
-
-
-def elsewhere(model: Model) -> Float[np.ndarray, " d"]:
-    """The model's parameters for another recording: what happened at a moment of this one did not happen there."""
-    space = model.fit.simulator.space
-    return np.array(
-        [null(p) if _timed(p.name) else value for p, value in zip(space.parameters, model.fit.theta, strict=True)]
-    )
-
-
 def predict(model: Model, held_out: Observation, *, apart: bool) -> Prediction:
     """What the model makes of held-out recordings; `apart` says that they are others than it was fitted to."""
-    fit, theta = model.fit, elsewhere(model) if apart else model.fit.theta
-    simulator = replace(held_out.simulator, space=fit.simulator.space, noise=_moved(fit, held_out.simulator))
-    there = Fit(held_out.extended(simulator), theta, linearise(simulator, theta))
-    metric, valid = there.metric, simulator.windows.valid
+    fit, there = model.fit, elsewhere(model, held_out, apart=apart)
+    simulator, metric, valid = there.simulator, there.metric, there.simulator.windows.valid
     rest = there.unexplained
     spread = simulator.space.prior_std
     covariance = fit.covariance / np.outer(spread, spread)
@@ -97,11 +78,6 @@ def predict(model: Model, held_out: Observation, *, apart: bool) -> Prediction:
     )
 
 
-def _moved(fit: Fit, to: Simulator):
-    """The fit's noise for windows of another length."""
-    return replace(fit.simulator.noise, window=to.windows.t.shape[1])
-
-
 def gain(base: Prediction, extended: Prediction, rate: float) -> Gain:
     """Paired difference of log scores, over blocks of time."""
     difference = (extended.log_score - base.log_score).sum(axis=0)
@@ -111,9 +87,3 @@ def gain(base: Prediction, extended: Prediction, rate: float) -> Gain:
     mean, std = float(sums.mean() * scale), float(sums.std(ddof=1) / np.sqrt(len(sums)) * scale)
     reach = float(t.ppf(CONFIDENT, len(sums) - 1)) * std
     return Gain(mean, std, mean - reach, mean + reach)
-
-
-def worsens(base: Prediction, extended: Prediction, rate: float) -> bool:
-    """Whether a model certainly loses log score over another, and not only because it has more parameters."""
-    larger = any(extended.nrmse[name] > (1.0 + WORSE) * error for name, error in base.nrmse.items())
-    return larger and gain(base, extended, rate).high < 0.0

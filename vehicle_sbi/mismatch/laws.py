@@ -6,8 +6,8 @@ of them is physics with a name. Together they are what *unknown* means beside th
 leaves over what one of them explains is no explanation.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +25,7 @@ ERROR = 0.3  # of a signal's root mean square, at most, as an error of steering 
 STEADY = 1e-3  # of its root mean square, below which a signal's spread is none
 STEP = 0.05  # of a law's largest size, for differences
 Course = Float[np.ndarray, "windows time"]
+Unit = tuple[float, float]  # what is taken off a signal, and what the rest is then divided by
 
 
 @dataclass(frozen=True)
@@ -38,19 +39,34 @@ class Target:
 
 @dataclass(frozen=True)
 class Law:
-    """A target that follows a signal; its size is that where `course` is 1, the signal's root mean square."""
+    """A target that follows a signal; its size is that where `course` is 1, the signal's root mean square.
+
+    `units` are those of all signals, for the same law in other recordings.
+    """
 
     target: Target
     signal: str
     course: Course
+    units: Mapping[str, Unit] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         return f"{self.target.name} with {self.signal}"
 
 
-def signals(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> dict[str, Course]:
-    """Signals of the drive by name, each with a root mean square of 1; those that do not change are left out."""
+def signals(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], units: dict[str, Unit] | None = None
+) -> dict[str, Course]:
+    """Signals of the drive by name, in `units` as far as those are known.
+
+    Other units are added: those in which a signal has a root mean square of 1 here, speed and time about their means.
+    """
+    units = {} if units is None else units
+
+    def scaled(name: str, signal: np.ndarray, *, centred: bool = False) -> np.ndarray:
+        mean, size = units.setdefault(name, _unit(signal, centred))
+        return (signal - mean) / size if size > 1e-9 else np.zeros_like(signal)
+
     windows = simulator.windows
     watched = replace(simulator, windows=replace(windows, channels=MOTION, groups=("imu",) * len(MOTION)))
     speed, a_x, a_y, yaw_rate = watched.noise_free(theta[None])[0].reshape(len(MOTION), *windows.t.shape)
@@ -58,22 +74,20 @@ def signals(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> dict[str, C
     turning = np.gradient(steering, axis=1) * windows.rate
     odd = {"steering": steering, "yaw rate": yaw_rate, "a_y": a_y, "a_x": a_x, "steering rate": turning}
     slow = {"speed": speed, "time": time}
-    x = {name: _scaled(value) for name, value in odd.items()} | {
-        name: _scaled(value - value.mean()) for name, value in slow.items()
-    }
-    found = dict(x)
-    found |= {f"|{name}|": np.abs(x[name]) for name in odd}
+    x = {name: scaled(name, value) for name, value in odd.items()}
+    x |= {name: scaled(name, value, centred=True) for name, value in slow.items()}
+    found = {f"|{name}|": np.abs(x[name]) for name in odd}
     found |= {f"{name} cubed": x[name] ** 3 for name in ("steering", "yaw rate", "a_y", "a_x")}
     found |= {f"{name} squared": x[name] ** 2 for name in slow}
     found |= {f"{a} times {b}": x[a] * x[b] for a in ("steering", "yaw rate", "a_y") for b in ("speed", "a_x", "time")}
     found["direction of steering"] = np.tanh(3.0 * x["steering rate"])
-    return {name: _scaled(value) for name, value in found.items() if np.std(value) > STEADY}
+    return x | {name: scaled(name, value) for name, value in found.items()}
 
 
-def _scaled(signal: np.ndarray) -> np.ndarray:
-    """With a root mean square of 1, or 0 where there is nothing."""
-    size = np.sqrt(np.mean(signal**2))
-    return signal / size if size > 1e-9 else np.zeros_like(signal)
+def _unit(signal: np.ndarray, centred: bool) -> Unit:
+    """In which a signal has a root mean square of 1, about its mean if it is centred."""
+    mean = float(signal.mean()) if centred else 0.0
+    return mean, float(np.sqrt(np.mean((signal - mean) ** 2)))
 
 
 def targets(simulator: Simulator, y: Float[np.ndarray, "channels time"]) -> list[Target]:
@@ -95,9 +109,15 @@ def targets(simulator: Simulator, y: Float[np.ndarray, "channels time"]) -> list
 
 
 def laws(simulator: Simulator, theta: Float[np.ndarray, " d"], y: Float[np.ndarray, "channels time"]) -> list[Law]:
-    """Every target with every signal at theta, where the series are y."""
-    acting = targets(simulator, y)
-    return [Law(target, signal, course) for signal, course in signals(simulator, theta).items() for target in acting]
+    """Every target with every signal that changes at theta, where the series are y."""
+    units: dict[str, Unit] = {}
+    acting, courses = targets(simulator, y), signals(simulator, theta, units)
+    return [
+        Law(target, signal, course, units)
+        for signal, course in courses.items()
+        if np.std(course) > STEADY
+        for target in acting
+    ]
 
 
 def _size(name: str, unit: str, largest: float) -> Parameter:
@@ -106,11 +126,20 @@ def _size(name: str, unit: str, largest: float) -> Parameter:
 
 def under(simulator: Simulator, law: Law) -> Simulator:
     """The simulator with the law's size as a further parameter."""
+    return followed(replace(simulator, space=ParameterSpace((*simulator.space.parameters, law.target.size))), law)
+
+
+def followed(simulator: Simulator, law: Law) -> Simulator:
+    """The simulator, which has the law's size among its parameters, with the law's course."""
     u, nominal = simulator.windows.u.copy(), simulator.nominal.copy()
     u[..., INPUTS.index("latent")] = law.course
     nominal["latent_row"] = -1.0 if law.target.row is None else float(law.target.row)
-    space = ParameterSpace((*simulator.space.parameters, law.target.size))
-    return replace(simulator, windows=replace(simulator.windows, u=u), nominal=nominal, space=space)
+    return replace(simulator, windows=replace(simulator.windows, u=u), nominal=nominal)
+
+
+def moved(law: Law, simulator: Simulator, theta: Float[np.ndarray, " d"]) -> Law:
+    """The law in other recordings, simulated at theta, in the units of those that it was found in."""
+    return replace(law, course=signals(simulator, theta, dict(law.units))[law.signal])
 
 
 def law_slopes(

@@ -10,7 +10,7 @@ from scipy.stats import truncnorm
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.experiment import advice
-from vehicle_sbi.mismatch.explain import Explanation
+from vehicle_sbi.mismatch.explain import Explanation, doubted
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.gate import Gate
 from vehicle_sbi.mismatch.improve import Gain, Prediction
@@ -22,6 +22,7 @@ from vehicle_sbi.physics.effects import CATALOGUE
 SCHEMA = 1
 LISTED = 10  # explanations at most
 SPELLED_OUT = 5  # parameters of an effect at most
+LIKELY = 0.02  # probability of sets, from which doubts about them are worth a note
 SPOKEN_OF = 0.2  # probability of something unknown from which it is said what that would be
 
 
@@ -228,11 +229,12 @@ def _rim(fit: Fit) -> list[str]:
 
 
 def _doubts(explanation: Explanation) -> list[str]:
-    """Which explanations held-out recordings speak against."""
+    """Which of the likely explanations recordings that were held out speak against."""
     return [
-        f"{_listed(effects)} would predict the held-out recordings worse than the base model does: what it stands for "
-        "is likely to be something else."
-        for effects in sorted(explanation.doubted)
+        f"{_listed(model.effects)} would predict held-out recordings worse than the base model does: what it stands "
+        "for is likely to be something else."
+        for model, probability in zip(explanation.models, explanation.standing, strict=True)
+        if doubted(model) and probability > LIKELY
     ]
 
 
@@ -300,11 +302,11 @@ def _answer(explanation: Explanation) -> list[str]:
     verb = "explains" if len(best.effects) == 1 else "explain"
     named = f"{_listed(best.effects)} {verb} it with probability {explanation.probability[0]:.2f}"
     if explanation.p_unknown > sum(explanation.probability):
-        left = explanation.best.largest_block
+        left, examined = explanation.best.largest_block, explanation.best.model.effects == best.effects
+        share = f"{explanation.best.share_explained:.0%} at most" if examined else "a part of it"
         named = (
-            f"No known effect explains all of it: {_listed(best.effects)} {verb} "
-            f"{explanation.best.share_explained:.0%} at most, and something unknown remains in {left.channel} "
-            f"{_when(left.regime, left.from_s, left.to_s)}"
+            f"No known effect explains all of it: {_listed(best.effects)} {verb} {share}, and something unknown remains "
+            f"in {left.channel} {_when(left.regime, left.from_s, left.to_s)}"
         )
     meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
     own = {k: v for k, v in estimates(best.fit).items() if k.split(".")[0] in best.effects}

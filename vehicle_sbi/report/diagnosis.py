@@ -2,7 +2,7 @@
 
 import json
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,12 +11,12 @@ import yaml
 from tqdm import tqdm
 
 from vehicle_sbi.files import write_atomically, write_text
-from vehicle_sbi.mismatch.candidates import left_out
+from vehicle_sbi.mismatch.candidates import Direction, left_out
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.explain import Explanation, explain
 from vehicle_sbi.mismatch.fit import Fit, best
 from vehicle_sbi.mismatch.gate import through
-from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict, worsens
+from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
 from vehicle_sbi.mismatch.separability import Card, card
 from vehicle_sbi.mismatch.verdict import Verdict, chosen, quantity, verdict
 from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
@@ -32,7 +32,6 @@ STAGES = {
     "explanation": "what is missing",
 }
 SCREENED, STARTS = 32, 3  # points that are simulated, and of those the ones from which the base model is fitted
-LIKELY = 0.05  # probability of sets whose predictions of what was held out are looked at
 Result = TypeVar("Result")
 
 
@@ -43,14 +42,9 @@ def diagnose(folder: RunFolder, case: Case, *, seed: int, figures: bool) -> None
         base, passed = _kept(folder, "fit", lambda: through(fitted(case, starts), starts), bar)
         known = _kept(folder, "directions", lambda: left_out(base.simulator, base.theta), bar)
         seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta, known), bar)
-        found = _kept(
-            folder,
-            "explanation",
-            lambda: explain(base, known, rng=draws, belief=case.belief, tried=bar.set_postfix_str),
-            bar,
-        )
+        found = _kept(folder, "explanation", lambda: explained(case, base, known, draws, bar.set_postfix_str), bar)
     with folder.stage("report"):
-        found, predictions, gained = judged(case, found)
+        predictions, gained = proved(case, found)
         answer = verdict(case, passed, found, predictions, gained, seen)
         write(folder, found, answer)
         if figures:
@@ -70,18 +64,21 @@ def fitted(case: Case, rng: np.random.Generator) -> Fit:
     return best(case.observation, points[np.argsort(misfit)[:STARTS]])
 
 
-def judged(case: Case, found: Explanation) -> tuple[Explanation, dict[str, Prediction], Gain | None]:
-    """What was found, with doubts about sets of effects that predict what was held out worse than the base model; how
-    base and extended model predict it, and what the latter gains."""
-    base, rate = predict(found.base.model, case.held_out, apart=case.apart), case.held_out.simulator.windows.rate
-    if not found.detected or not found.models:
-        return found, {"base": base}, None
-    likely = [model for model, p in zip(found.models, found.probability, strict=True) if p > LIKELY]
-    tried = {model.effects: predict(model, case.held_out, apart=case.apart) for model in likely}
-    found = found.doubting(effects for effects, one in tried.items() if worsens(base, one, rate))
-    model = chosen(found)
-    best = tried.get(model.effects) or predict(model, case.held_out, apart=case.apart)
-    return found, {"base": base, "extended": best}, gain(base, best, rate)
+def explained(
+    case: Case, base: Fit, known: Sequence[Direction], rng: np.random.Generator, tried: Callable[[str], None]
+) -> Explanation:
+    """What is missing, from the recordings that are fitted and those that help to name."""
+    found = explain(base, known, rng=rng, belief=case.belief, tried=tried)
+    return found if case.naming is None else found.foretelling(case.naming, apart=case.apart)
+
+
+def proved(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gain | None]:
+    """How base and extended model predict what was held out, and what the latter gains."""
+    base, model = predict(found.base.model, case.held_out, apart=case.apart), chosen(found)
+    if model is found.base.model:
+        return {"base": base}, None
+    extended = predict(model, case.held_out, apart=case.apart)
+    return {"base": base, "extended": extended}, gain(base, extended, case.held_out.simulator.windows.rate)
 
 
 def _kept(folder: RunFolder, name: str, compute: Callable[[], Result], bar: tqdm) -> Result:

@@ -1,0 +1,124 @@
+"""What is foretold of other recordings: an exact density, calibrated surprise, and names told apart by it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import fitted, lateral, recorded
+from scipy.stats import kstest
+
+from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.mismatch.candidates import left_out
+from vehicle_sbi.mismatch.case import halves
+from vehicle_sbi.mismatch.examine import Model
+from vehicle_sbi.mismatch.explain import DOUBTED, Explanation, doubted, explain
+from vehicle_sbi.mismatch.fit import Fit, Observation
+from vehicle_sbi.mismatch.foretell import foretold
+from vehicle_sbi.physics.single_track import INPUTS
+
+
+def faster(sim: Simulator, factor: float) -> Simulator:
+    """The same steering at another speed."""
+    windows, v_x = sim.windows, INPUTS.index("v_x")
+    u, x0 = windows.u.copy(), windows.x0.copy()
+    u[..., v_x] *= factor
+    x0[:, 0] *= factor
+    return replace(sim, windows=replace(windows, u=u, x0=x0))
+
+
+def short(observation: Observation, samples: int = 40) -> Observation:
+    """The last so many samples of each channel, few enough for a dense covariance."""
+    time = observation.simulator.windows.valid.shape[1]
+    return observation.masked(np.arange(time) >= time - samples)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.6])
+def test_the_density_is_that_of_a_normal_with_noise_and_parameters_in_its_covariance(rho: float) -> None:
+    # Initial states are known here, so that there is nothing else; without the constant of the standard normal.
+    sim = lateral(rho=rho)
+    fit = fitted(replace(recorded(sim), estimated=False))
+    held = short(recorded(sim, seed=4))
+    there = Fit(held, fit.theta, fit.at)
+    valid = held.simulator.windows.valid
+    lag = np.abs(np.subtract.outer(np.arange(40), np.arange(40)))
+    noise = [std**2 * r**lag for std, r in zip(fit.simulator.noise.floor, fit.simulator.noise.rho, strict=True)]
+    J = fit.at.J[:, valid] / fit.simulator.space.prior_std[:, None]
+    C = np.zeros((120, 120))
+    for c, block in enumerate(noise):
+        C[40 * c : 40 * c + 40, 40 * c : 40 * c + 40] = block
+    C += J.T @ fit.covariance @ J
+    r = there.residual[valid]
+    expected = -0.5 * r @ np.linalg.solve(C, r) - 0.5 * np.linalg.slogdet(C)[1]
+    found = foretold(Model((), fit, 0.0), held, apart=True)
+    assert found is not None
+    assert found.log_likelihood == pytest.approx(expected, rel=1e-6)
+
+
+def test_parameters_that_stay_are_no_surprise_and_those_that_change_are() -> None:
+    # The statistic is divided by LENIENT, so p is stochastically larger than uniform: its distribution function must
+    # not exceed that of the uniform by more than Kolmogorov's one-sided bound at 0.1 %.
+    sim = lateral()
+    found = []
+    for seed in range(20):
+        fit = fitted(replace(recorded(sim, seed=seed), estimated=False))
+        one = foretold(Model((), fit, 0.0), recorded(sim, seed=100 + seed), apart=True)
+        assert one is not None
+        found.append(one.p_value)
+    assert kstest(found, "uniform", alternative="greater").pvalue > 1e-3
+    changed = recorded(sim, seed=50, steering_ratio__gain=1.1)
+    fit = fitted(replace(recorded(sim), estimated=False))
+    one = foretold(Model((), fit, 0.0), changed, apart=True)
+    assert one is not None
+    assert one.p_value < 1e-3
+
+
+def test_a_simulation_that_fails_foretells_nothing() -> None:
+    fit = fitted(recorded(lateral()))
+    stalled = faster(lateral(), np.nan)
+    assert foretold(Model((), fit, 0.0), Observation(stalled, np.zeros_like(fit.residual), True), apart=True) is None
+
+
+@pytest.fixture(scope="module")
+def alike() -> Explanation:
+    """A constant yaw moment, which at one speed is an offset of the steering; both tell little else."""
+    observation = recorded(lateral(), yaw_moment__moment=300.0)
+    base = fitted(observation)
+    tried = ("yaw_moment", "steering_offset")
+    known = [d for d in left_out(base.simulator, base.theta) if d.effect in tried]
+    return explain(base, known, rng=np.random.default_rng(0))
+
+
+def probability(found: Explanation, effect: str) -> float:
+    return dict(zip([m.effects for m in found.models], found.probability, strict=True))[(effect,)]
+
+
+def test_a_drive_at_another_speed_tells_apart_what_fits_alike(alike: Explanation) -> None:
+    further = recorded(faster(lateral(), 2.0), seed=7, yaw_moment__moment=300.0)
+    told = alike.foretelling(further, apart=True)
+    assert abs(np.log(probability(alike, "yaw_moment") / probability(alike, "steering_offset"))) < np.log(20)
+    assert probability(told, "yaw_moment") > 20 * probability(told, "steering_offset")
+    assert told.models[0].effects == ("yaw_moment",)
+    assert sum(told.probability) + told.p_none + told.p_unknown == pytest.approx(1.0)
+
+
+def test_what_harms_elsewhere_is_doubted_and_makes_something_unknown_likelier(alike: Explanation) -> None:
+    calm = recorded(faster(lateral(), 2.0), seed=7)  # nothing is missing there
+    told = alike.foretelling(calm, apart=True)
+    assert all(doubted(model) for model in told.models)
+    assert told.models[0].told < DOUBTED
+    assert told.p_unknown + told.p_none > alike.p_unknown + alike.p_none
+
+
+def test_halves_share_no_sample_and_lose_none() -> None:
+    held = recorded(lateral())
+    whole = held.simulator.windows.valid
+    for windows in (1, 2, 5):
+        length = whole.shape[1] // windows
+        t, u = (
+            np.reshape(x, (windows, length, *x.shape[2:])) for x in (held.simulator.windows.t, held.simulator.windows.u)
+        )
+        x0 = np.repeat(held.simulator.windows.x0, windows, axis=0)
+        cut = replace(held.simulator, windows=replace(held.simulator.windows, t=t, u=u, x0=x0))
+        naming, proving = (half.simulator.windows.valid for half in halves(replace(held, simulator=cut)))
+        assert np.array_equal(naming ^ proving, whole)
+        assert naming.sum() >= proving.sum() > 0
