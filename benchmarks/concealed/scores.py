@@ -28,6 +28,7 @@ INTERVAL = 0.9
 NONE, UNKNOWN = frozenset(["none"]), frozenset(["unknown"])
 REDUCIBLE = 0.05  # of the oracle's error, that the base model's has to exceed it by to count as reducible
 Answer = frozenset[str]
+Middle = Callable[..., Any]  # np.mean or np.median
 Json = Mapping[str, Any]
 
 
@@ -195,24 +196,24 @@ def row(folder: Path, index: int) -> dict[str, Any]:
     return out
 
 
-def interval(values: Sequence[float]) -> tuple[float, float]:
-    """90 % interval of the mean: Clopper and Pearson's for zeros and ones, else a percentile bootstrap."""
+def interval(values: Sequence[float], middle: Middle = np.mean) -> tuple[float, float]:
+    """90 % interval of the mean or median: Clopper and Pearson's for shares, else a percentile bootstrap."""
     n, hits, outside = len(values), float(np.sum(values)), (1 - INTERVAL) / 2
-    if set(values) <= {0.0, 1.0}:
+    if middle is np.mean and set(values) <= {0.0, 1.0}:
         low = float(beta.ppf(outside, hits, n - hits + 1)) if hits else 0.0
         return low, float(beta.ppf(1 - outside, hits + 1, n - hits)) if hits < n else 1.0
-    means = np.random.default_rng(0).choice(np.asarray(values), (2000, n)).mean(axis=1)
-    return float(np.quantile(means, outside)), float(np.quantile(means, 1 - outside))
+    drawn = middle(np.random.default_rng(0).choice(np.asarray(values), (2000, n)), axis=1)
+    return float(np.quantile(drawn, outside)), float(np.quantile(drawn, 1 - outside))
 
 
-def shown(values: Sequence[float]) -> str:
-    """Mean, interval and number, as `0.86 (0.79 to 0.91; 52)`."""
+def shown(values: Sequence[float], middle: Middle = np.mean) -> str:
+    """Mean or median, interval and number, as `0.86 (0.79 to 0.91; 52)`."""
     kept = [float(v) for v in values if v is not None and math.isfinite(v)]
     if not kept:
         return ""
-    low, high = interval(kept)
+    low, high = interval(kept, middle)
     digits = 2 if max(abs(low), abs(high)) < 10 else 1
-    return f"{np.mean(kept):.{digits}f} ({low:.{digits}f} to {high:.{digits}f}; {len(kept)})"
+    return f"{middle(kept):.{digits}f} ({low:.{digits}f} to {high:.{digits}f}; {len(kept)})"
 
 
 def calibration_error(table: pd.DataFrame, bins: int = 10) -> float:
@@ -232,6 +233,7 @@ class Metric:
     among: Callable[[pd.DataFrame], pd.Series]
     value: str
     good: str = ""
+    middle: Middle = np.mean
 
 
 def _kind(*kinds: str, detected: bool = False) -> Callable[[pd.DataFrame], pd.Series]:
@@ -275,6 +277,7 @@ METRICS = (
     Metric("overlap (IoU) of a time-local effect", _kind("single", "outside", detected=True), "iou", "0.80"),
     Metric("its onset's error [s]", _kind("single", "outside", detected=True), "onset_error", "0.1"),
     Metric("effect's parameters, relative error", _kind("single", detected=True), "size_error", "0.10"),
+    Metric("their median", _kind("single", detected=True), "size_error", "0.10", np.median),
     Metric("effect's parameters, coverage of 90 %", _kind("single", detected=True), "size_covered", "0.85 to 0.95"),
     Metric("base parameters' bias before [std]", _kind("single", "pair", detected=True), "bias_before"),
     Metric("base parameters' bias after [std]", _kind("single", "pair", detected=True), "bias_after", "0.8"),
@@ -295,7 +298,8 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for m in METRICS:
         cells = {
-            name: shown(part.loc[m.among(part), m.value].tolist()) if len(part) else "" for name, part in parts.items()
+            name: shown(part.loc[m.among(part), m.value].tolist(), m.middle) if len(part) else ""
+            for name, part in parts.items()
         }
         rows.append({"metric": m.label, **cells, "good": m.good})
     errors = {name: calibration_error(part) for name, part in parts.items()}

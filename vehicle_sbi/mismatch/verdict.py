@@ -305,8 +305,8 @@ def _answer(explanation: Explanation) -> list[str]:
         left, examined = explanation.best.largest_block, explanation.best.model.effects == best.effects
         share = f"{explanation.best.share_explained:.0%} at most" if examined else "a part of it"
         named = (
-            f"No known effect explains all of it: {_listed(best.effects)} {verb} {share}, and something unknown remains "
-            f"in {left.channel} {_when(left.regime, left.from_s, left.to_s)}"
+            f"No known effect explains all of it: {_listed(best.effects)} {verb} {share}, and something unknown "
+            f"remains in {left.channel} {_when(left.regime, left.from_s, left.to_s)}"
         )
     meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
     own = {k: v for k, v in estimates(best.fit).items() if k.split(".")[0] in best.effects}
