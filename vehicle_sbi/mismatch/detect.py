@@ -85,6 +85,14 @@ class Scores:
         return float((least <= least[0]).sum() / len(least))
 
     @property
+    def excess(self) -> float:
+        """Square of the largest score over that which noise alone exceeds in one of twenty; at least 1."""
+        if not self.null.size:
+            return 1.0
+        reached = float(np.quantile(np.abs(self.null).max(axis=1), 0.95))
+        return max(1.0, (float(np.abs(self.z).max()) / reached) ** 2)
+
+    @property
     def log_evidence(self) -> Float[np.ndarray, " k"]:
         """Log Bayes factor of each direction at first order against none, its size uniform over the prior."""
         std, width = self.information**-0.5, self.high - self.low

@@ -34,7 +34,8 @@ SURPRISE_TOLD = 0.5  # the same for the p-value of what is foretold
 FAILED = -1e3  # log likelihood of what cannot be simulated
 DOUBTED = -1.0  # log likelihood of what is foretold, beyond the base model's, below which a set is doubted
 BENEFIT = 0.1  # of the doubt: what is kept of its odds
-TEMPER = 0.6  # power of the evidence; set with Belief.unknown on 63 simulated diagnoses, as good on 62 others
+TEMPER = 0.5  # power of the evidence where the best set leaves nothing over
+LAPSE = 0.05  # probability that search or noise model fail, which is something unknown's too
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
 TOLD_APART = 3  # digits of a probability
 LEAST_P = 1e-9  # that counts as one
@@ -135,18 +136,25 @@ class Explanation:
     def _shares(self) -> Float[np.ndarray, " k"]:
         """Probabilities of all sets, of all with a law, of none and of what is left over, in this order.
 
-        Evidence is tempered: it takes the noise for exactly what it was modelled as and the search for complete, and
-        so comes out too sure. What is unknown is as probable as what the best model leaves over, and how its
-        parameters move from one recording to another, are surprising. What a right set adds to the base model does not
-        harm it elsewhere; one that does is doubted.
+        Evidence is tempered: it takes the noise for exactly what it was modelled as, and so comes out too sure; the
+        more so, the more the best set leaves over. What is unknown is as probable as what the best set leaves over, and
+        how its parameters move from one recording to another, are surprising. What a right set adds to the base model
+        does not harm it elsewhere; one that does is doubted.
         """
         models = (*self.models, *self.unnamed, self.base.model, self.best.model)
-        weights = TEMPER * np.array([model.weight(self.belief) for model in models])
+        weights = self._temper * np.array([model.weight(self.belief) for model in models])
         weights[: len(self.models)] += np.log([BENEFIT if doubted(model) else 1.0 for model in self.models])
         weights[-1] += np.log(self.belief.unknown) + _surprise(self.best.p_adequate, SURPRISE)
         if self.p_told is not None:
             weights[-1] += _surprise(self.p_told, SURPRISE_TOLD)
-        return np.exp(weights - np.logaddexp.reduce(weights))
+        shares = (1.0 - LAPSE) * np.exp(weights - np.logaddexp.reduce(weights))
+        shares[-1] += LAPSE
+        return shares
+
+    @property
+    def _temper(self) -> float:
+        """Power of the evidence: deviations as large as what is left over would have come out by chance."""
+        return TEMPER / self.best.scores.excess
 
     @property
     def probability(self) -> list[float]:
@@ -176,7 +184,7 @@ class Explanation:
         alike = [model for model in self.models if len(model.effects) == len(effects)]
         if not alike:
             return {effects: 1.0}
-        weight = TEMPER * np.array([model.weight(self.belief) for model in alike])
+        weight = self._temper * np.array([model.weight(self.belief) for model in alike])
         parts = np.exp(weight - np.logaddexp.reduce(weight))
         return {model.effects: float(part) for model, part in zip(alike, parts, strict=True)}
 
