@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from concealed import baselines, cases, concealment, drives, injected, oracle, outside, scores, setups
+from concealed import baselines, cases, concealment, drives, injected, oracle, outside, scores, setups, summary
 from concealed.mix import slot
 from concealed.strength import Given, Noise, Projection, fit, residual, snr
 from concealed.twin import Twin
@@ -285,7 +285,10 @@ def test_an_oracle_is_no_better_than_the_noise_and_no_worse_than_who_does_not_kn
 
 def test_intervals_and_calibration_by_hand() -> None:
     """No event in n: Clopper and Pearson's upper bound is 1 - (alpha/2)^(1/n)."""
-    assert scores.interval([0.0] * 10) == (0.0, pytest.approx(1 - 0.05**0.1))
-    assert scores.interval([1.0] * 10) == (pytest.approx(0.05**0.1), 1.0)
+    ten = pd.DataFrame({"probability": [0.5] * 10, "correct": [True] * 10})
+    # |k - 5| / 10 of k heads in ten throws, 0.123; 300 draws of a standard deviation of 0.1 leave 4 of 0.006 uncertain
+    assert summary.calibrated(ten) == pytest.approx(0.123, abs=0.024)
+    assert summary.interval([0.0] * 10) == (0.0, pytest.approx(1 - 0.05**0.1))
+    assert summary.interval([1.0] * 10) == (pytest.approx(0.05**0.1), 1.0)
     table = pd.DataFrame({"probability": [0.95, 0.95, 0.65, 0.65], "correct": [1.0, 1.0, 1.0, 0.0]})
-    assert scores.calibration_error(table) == pytest.approx(0.5 * 0.05 + 0.5 * 0.15)
+    assert summary.calibration_error(table) == pytest.approx(0.5 * 0.05 + 0.5 * 0.15)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.detect import Linearised, profile
 from vehicle_sbi.mismatch.latent import latents, what_it_takes
 from vehicle_sbi.mismatch.laws import Law, law_slopes, targets, under
+from vehicle_sbi.mismatch.linear import Linearised, profile
 from vehicle_sbi.mismatch.locate import bump, clock, stretches
 
 

@@ -21,7 +21,7 @@ import pandas as pd
 import yaml
 from tqdm import tqdm
 
-from concealed import baselines, cases, injected, oracle, scores
+from concealed import baselines, cases, injected, oracle, scores, summary
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_text
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -114,7 +114,7 @@ def prove(
     table = gather(folder, n)
     if table.empty:
         raise InputError(f"no case could be built in {folder}")
-    page = scores.report(table, machine(workers), len(CATALOGUE))
+    page = summary.report(table, machine(workers), len(CATALOGUE))
     where = results if "detected" in table else folder
     write_text(where / "concealed.csv", table.to_csv(index=False, float_format="%.6g"))
     write_text(where / "concealed.md", page)

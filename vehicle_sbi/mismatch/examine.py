@@ -14,9 +14,10 @@ from jaxtyping import Float
 
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.candidates import Direction, allowed, null, tile
-from vehicle_sbi.mismatch.detect import Linearised, Scores, profile, score
+from vehicle_sbi.mismatch.detect import Scores, score
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law
+from vehicle_sbi.mismatch.linear import Linearised, profile
 from vehicle_sbi.mismatch.locate import Block
 from vehicle_sbi.mismatch.repertoire import Inventory, Repertoire
 from vehicle_sbi.parameters import Parameter

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.mismatch.detect import Linearised, gained, profile
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law, Target, law_slopes, targets
+from vehicle_sbi.mismatch.linear import Linearised, gained, profile
 from vehicle_sbi.mismatch.locate import bump, clock, stretches
 
 LEAST_GAIN = 3.0  # log likelihood a number below which nothing is said

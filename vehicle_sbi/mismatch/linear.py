@@ -1,0 +1,224 @@
+"""A fit at first order: what its parameters, initial states and further directions do, and how likely that is at best.
+
+With J what parameters and initial states do, g what directions do and r the residual, the noise of each channel an
+AR(1) process,
+
+    l(k) = max over beta, a, rho, S of  - 1/2 sum_c N_c log S_c - 1/2 |beta|^2,
+           N_c S_c = sum_t (e_t - rho_c e_(t-1))^2,   e = r - J beta - a g_k
+
+is how likely the recording is with a little of direction k (its size a within bounds) under the noise that is then left
+over.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from vehicle_sbi.data.noise import largest_rho
+from vehicle_sbi.mismatch.fit import MEMORY_S, Fit
+
+ITERATIONS = 6  # of sizes and noise, in turn
+LEAST_VARIANCE = 1e-18
+STEADYING = 1e-9  # of the diagonal, for directions that are one and the same
+
+Products = Float[np.ndarray, "3 channels i j"]
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A fit at first order: residual, what parameters and then initial states do (m, channels, time), how many of the
+    latter there are, and the neighbouring valid samples of each channel."""
+
+    fit: Fit
+    J: Float[np.ndarray, "m channels time"]
+    states: int
+    residual: Float[np.ndarray, "1 channels time"]
+    pairs: Sequence[np.ndarray]
+
+    @classmethod
+    def of(cls, fit: Fit) -> "Linearised":
+        windows, length = fit.simulator.windows, fit.simulator.noise.window
+        states = np.zeros((len(windows.x0), *fit.at.J_x.shape))
+        for w in range(len(windows.x0)):
+            span = slice(w * length, (w + 1) * length)
+            states[w, ..., span] = fit.at.J_x[..., span]
+        states = states.reshape(-1, *fit.at.y.shape)
+        same = np.arange(1, windows.valid.shape[1]) % length > 0
+        pairs = [1 + np.flatnonzero(valid[1:] & valid[:-1] & same) for valid in windows.valid]
+        J = np.concatenate([fit.at.J[fit.inside], states])
+        return cls(fit, np.nan_to_num(J), len(states), fit.residual[None], pairs)
+
+    @property
+    def count(self) -> Float[np.ndarray, " channels"]:
+        """Neighbouring valid samples of each channel."""
+        return np.array([float(max(len(pair), 1)) for pair in self.pairs])
+
+    @property
+    def largest_rho(self) -> float:
+        """Correlation of the slowest noise."""
+        return largest_rho(self.fit.simulator.windows.rate, MEMORY_S)
+
+    def products(self, x: Float[np.ndarray, "i channels time"], y: Float[np.ndarray, "j channels time"]) -> Products:
+        """Sums over neighbouring samples of x y now, x y a sample earlier, and across (symmetric)."""
+        out = np.empty((3, x.shape[1], len(x), len(y)), np.result_type(x, y))
+        for c, now in enumerate(self.pairs):
+            a, b, before_a, before_b = x[:, c, now], y[:, c, now], x[:, c, now - 1], y[:, c, now - 1]
+            out[:, c] = a @ b.T, before_a @ before_b.T, 0.5 * (a @ before_b.T + before_a @ b.T)
+        return out
+
+    @cached_property
+    def _weight(self) -> Float[np.ndarray, "3 channels"]:
+        """Of the three kinds of products in the information, under the fit's noise."""
+        noise = self.fit.simulator.noise
+        innovation = self.fit.metric.std.mean(axis=1) ** 2 * (1.0 - noise.rho**2)
+        return kinds(noise.rho) / innovation
+
+    def absorbed(self, series: Float[np.ndarray, "k channels time"]) -> Float[np.ndarray, "k channels time"]:
+        """What the fit leaves of some series once parameters and initial states have taken what they can."""
+        H = np.einsum("tc,tcij->ij", self._weight, self.products(self.J, self.J)) + np.eye(len(self.J))
+        taken = np.linalg.solve(H, np.einsum("tc,tcij->ij", self._weight, self.products(self.J, series)))
+        return series - np.tensordot(taken.T, self.J, axes=1)
+
+    def coherence(
+        self, a: Float[np.ndarray, "i channels time"], b: Float[np.ndarray, "j channels time"]
+    ) -> Float[np.ndarray, "i j"]:
+        """Cosines of the angles between what the fit leaves of series a and b."""
+        a, b = self.absorbed(np.nan_to_num(a)), self.absorbed(np.nan_to_num(b))
+        size = [
+            np.sqrt(np.maximum(np.einsum("tc,tck->k", self._weight, self.squares(series)), LEAST_VARIANCE))
+            for series in (a, b)
+        ]
+        return np.abs(np.einsum("tc,tcij->ij", self._weight, self.products(a, b))) / np.outer(*size)
+
+    def squares(self, series: Float[np.ndarray, "k channels time"]) -> Float[np.ndarray, "3 channels k"]:
+        """Products of each series with itself."""
+        each = [self.products(one[None], one[None])[..., 0, 0] for one in series]
+        return np.stack(each, axis=-1) if each else np.zeros((3, series.shape[1], 0))
+
+    def drawn(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n channels time"]:
+        """Noise and initial states under the fit, zero where nothing was measured."""
+        noise, shape = self.fit.simulator.noise, self.fit.at.y.shape
+        e = np.stack([noise.sample(shape, rng) for _ in range(n)]) * self.fit.metric.std
+        e += np.tensordot(rng.standard_normal((n, self.states)), self.J[len(self.J) - self.states :], axes=1)
+        return np.where(self.fit.simulator.windows.valid, e, 0.0)
+
+
+@dataclass(frozen=True)
+class Profiled:
+    """Sizes of directions at their likeliest, the log likelihood there and the information about them."""
+
+    size: Float[np.ndarray, "k q"]
+    log_likelihood: Float[np.ndarray, " k"]
+    information: Float[np.ndarray, "k q q"]
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """Products of what k models leave over at sizes x, rr - 2 b x + x H x, of the three kinds in each channel.
+
+    `rr` has one column if all of them explain the same series.
+    """
+
+    H: Float[np.ndarray, "3 channels k n n"]
+    b: Float[np.ndarray, "3 channels k n"]
+    rr: Float[np.ndarray, "3 channels #k"]
+    count: Float[np.ndarray, " channels"]
+    largest_rho: float
+
+    @classmethod
+    def of(cls, about: Linearised, changes: Float[np.ndarray, "k q channels time"]) -> "Quadratic":
+        """For everything that the fit can move, m in number, and q directions in each of k models."""
+        k, q, channels, time = changes.shape
+        m, changes = len(about.J), np.nan_to_num(changes)
+        flat = changes.reshape(k * q, channels, time)
+        H, b = np.empty((3, channels, k, m + q, m + q)), np.empty((3, channels, k, m + q))
+        H[..., :m, :m] = about.products(about.J, about.J)[:, :, None]
+        H[..., :m, m:] = about.products(about.J, flat).reshape(3, channels, m, k, q).transpose(0, 1, 3, 2, 4)
+        H[..., m:, :m] = np.swapaxes(H[..., :m, m:], -1, -2)
+        for row, g in enumerate(changes):
+            H[:, :, row, m:, m:] = about.products(g, g)
+        b[..., :m] = about.products(about.J, about.residual)[:, :, None, :, 0]
+        b[..., m:] = about.products(flat, about.residual).reshape(3, channels, k, q)
+        return cls(H, b, about.squares(about.residual), about.count, about.largest_rho)
+
+    def noise(
+        self, x: Float[np.ndarray, "k n"]
+    ) -> tuple[Float[np.ndarray, "channels k"], Float[np.ndarray, "channels k"]]:
+        """Correlation and innovation variance of what is left over at x."""
+        left = self.rr - 2.0 * np.einsum("tcki,ki->tck", self.b, x)
+        left = left + np.einsum("tckij,ki,kj->tck", self.H, x, x, optimize=True)
+        return ar1(left, self.count[:, None], self.largest_rho)
+
+    def log_likelihood(self, x: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
+        """Of what is left over at x under its own noise, up to a constant."""
+        return -0.5 * (self.count @ np.log(self.noise(x)[1]))
+
+    def solved(
+        self, prior: Float[np.ndarray, "n n"], low: Float[np.ndarray, "#k q"], high: Float[np.ndarray, "#k q"]
+    ) -> Float[np.ndarray, "k n"]:
+        """The likeliest x under noise of its own, both in turn; the last q sizes lie within low and high."""
+        k, n = self.b.shape[2:]
+        x = np.zeros((k, n))
+        for _ in range(ITERATIONS):
+            x = _bounded(*self.weighted(x, prior), low, high, n - low.shape[1])
+        return x
+
+    def weighted(
+        self, x: Float[np.ndarray, "k n"], prior: Float[np.ndarray, "n n"]
+    ) -> tuple[Float[np.ndarray, "k n n"], Float[np.ndarray, "k n"]]:
+        """Normal equations A, g under the noise that is left over at x."""
+        rho, S = self.noise(x)
+        weight = kinds(rho) / S
+        return np.einsum("tck,tckij->kij", weight, self.H) + prior, np.einsum("tck,tcki->ki", weight, self.b)
+
+
+def profile(
+    about: Linearised, changes: Float[np.ndarray, "k q channels time"], low: np.ndarray, high: np.ndarray
+) -> Profiled:
+    """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best."""
+    q, m = changes.shape[1], len(about.J)
+    quadratic, prior = Quadratic.of(about, changes), np.diag(np.repeat([1.0, 0.0], [m, q]))
+    x = quadratic.solved(prior, low, high)
+    log_likelihood = quadratic.log_likelihood(x) - 0.5 * np.sum(x[:, :m] ** 2, axis=1)
+    A, _ = quadratic.weighted(x, prior)
+    cross = A[:, m:, :m]
+    information = A[:, m:, m:] - cross @ np.linalg.solve(A[:, :m, :m], np.swapaxes(cross, 1, 2))
+    return Profiled(x[:, m:], log_likelihood, information)
+
+
+def gained(about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> float:
+    """Log likelihood that directions of any size gain together, each under the noise that is then left over."""
+    free = np.full((1, len(changes)), np.inf)
+    none = profile(about, changes[None, :0], free[:, :0], free[:, :0]).log_likelihood[0]
+    return max(float(profile(about, changes[None], -free, free).log_likelihood[0] - none), 0.0)
+
+
+def kinds(rho: np.ndarray) -> np.ndarray:
+    """Weights of the three kinds of products in those of innovations, (3, …) for rho (…)."""
+    return np.stack([np.ones_like(rho), rho**2, -2.0 * rho])
+
+
+def ar1(
+    left: Float[np.ndarray, "3 channels ..."], count: Float[np.ndarray, "channels ..."], largest: float
+) -> tuple[Float[np.ndarray, "channels ..."], Float[np.ndarray, "channels ..."]]:
+    """Correlation and innovation variance from the three kinds of products of a residual."""
+    rho = np.clip(left[2] / np.maximum(left[1], LEAST_VARIANCE), 0.0, largest)
+    return rho, np.maximum(np.sum(kinds(rho) * left, axis=0) / count, LEAST_VARIANCE)
+
+
+def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m: int) -> np.ndarray:
+    """Solutions of A x = g whose last entries lie within their bounds, the others at their best given those.
+
+    Solved in units in which A has a diagonal of ones: sizes may be of any order, and what steadies one must not hold
+    another.
+    """
+    unit = np.maximum(np.diagonal(A, axis1=1, axis2=2), LEAST_VARIANCE) ** -0.5
+    A = A * unit[:, :, None] * unit[:, None, :] + STEADYING * np.eye(A.shape[1])
+    x = np.linalg.solve(A, (g * unit)[..., None])[..., 0]
+    size = np.clip(x[:, m:] * unit[:, m:], low, high)
+    rest = (g * unit)[:, :m] - np.einsum("kij,kj->ki", A[:, :m, m:], size / unit[:, m:])
+    others = np.linalg.solve(A[:, :m, :m], rest[..., None])[..., 0]
+    return np.concatenate([others * unit[:, :m], size], axis=1)
