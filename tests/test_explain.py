@@ -9,7 +9,8 @@ from recorded import fitted, lateral, recorded
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.examine import Model, examine, versions
-from vehicle_sbi.mismatch.explain import Explanation, exchanged, explain, extended
+from vehicle_sbi.mismatch.explain import exchanged, explain, extended
+from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.mismatch.verdict import estimates, places

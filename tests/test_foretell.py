@@ -11,7 +11,8 @@ from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.case import halves
 from vehicle_sbi.mismatch.examine import Model
-from vehicle_sbi.mismatch.explain import DOUBTED, Explanation, doubted, explain
+from vehicle_sbi.mismatch.explain import explain
+from vehicle_sbi.mismatch.explanation import DOUBTED, Explanation, doubted
 from vehicle_sbi.mismatch.fit import Fit, Observation
 from vehicle_sbi.mismatch.foretell import foretold
 from vehicle_sbi.physics.single_track import INPUTS

@@ -7,7 +7,8 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
 from vehicle_sbi.mismatch.candidates import left_out
-from vehicle_sbi.mismatch.explain import Explanation, explain
+from vehicle_sbi.mismatch.explain import explain
+from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.laws import Law, law_slopes, laws, moved, under
 from vehicle_sbi.physics.single_track import INPUTS

@@ -10,7 +10,7 @@ from scipy.stats import truncnorm
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.experiment import advice
-from vehicle_sbi.mismatch.explain import Explanation, doubted
+from vehicle_sbi.mismatch.explanation import Explanation, doubted
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.gate import Gate
 from vehicle_sbi.mismatch.improve import Gain, Prediction
@@ -52,12 +52,13 @@ class Estimate:
 @dataclass(frozen=True)
 class Named:
     """A set of effects, how probable it is that they are all that is missing, and that they and something unknown are,
-    and the size of its parameters."""
+    the size of its parameters, and how much likelier it makes the recordings that help to name (log likelihood)."""
 
     effects: tuple[str, ...]
     probability: float
     beside_unknown: float
     parameters: dict[str, Estimate]
+    foretold: float | None
 
 
 @dataclass(frozen=True)
@@ -152,10 +153,12 @@ def places(explanation: Explanation) -> list[Place]:
     return [Place(b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime) for b, energy in whole]
 
 
-def _named(model: Model, probability: float, beside_unknown: float) -> Named:
-    found = estimates(model.fit)
-    own = {name: value for name, value in found.items() if name.split(".")[0] in model.effects}
-    return Named(model.effects, probability, beside_unknown, own)
+def _named(explanation: Explanation, k: int) -> Named:
+    model = explanation.models[k]
+    own = {name: value for name, value in estimates(model.fit).items() if name.split(".")[0] in model.effects}
+    beside = explanation.beside_unknown.get(model.effects, 0.0)
+    foretold = None if explanation.p_told is None else model.told
+    return Named(model.effects, explanation.probability[k], beside, own, foretold)
 
 
 def verdict(
@@ -175,10 +178,7 @@ def verdict(
     fit |= {name: asdict(Score(p.nrmse, p.mean_log_score, p.coverage90)) for name, p in predictions.items()}
     if gained is not None:
         fit["gain_log_score"] = asdict(gained)
-    found = [
-        _named(m, p, explanation.beside_unknown.get(m.effects, 0.0))
-        for m, p in zip(explanation.models[:LISTED], explanation.probability[:LISTED], strict=True)
-    ]
+    found = [_named(explanation, k) for k in range(min(len(explanation.models), LISTED))]
     rest = sum(explanation.probability[LISTED:])
     return Verdict(
         schema=SCHEMA,

@@ -13,7 +13,8 @@ from tqdm import tqdm
 from vehicle_sbi.files import write_atomically, write_text
 from vehicle_sbi.mismatch.candidates import Direction, left_out
 from vehicle_sbi.mismatch.case import Case
-from vehicle_sbi.mismatch.explain import Explanation, explain
+from vehicle_sbi.mismatch.explain import explain
+from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Fit, best
 from vehicle_sbi.mismatch.gate import through
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
@@ -121,7 +122,7 @@ def write_report(
         title=f"Diagnosis of {case.name}",
         sections={
             "Answer": f"<p>{_escaped(answer.sentence)}</p>",
-            "Explanations": in_section(html(_explanations(answer))),
+            "Explanations": in_section(html(_explanations(answer)) + _of_held_out(answer)),
             "Where": in_section(html(_places(answer))) if answer.mismatch else "<p>Nowhere beyond noise.</p>",
             "Held out": in_section(html(_scores(answer))),
             "What these recordings could have shown": in_section(html(_card(seen))),
@@ -141,16 +142,23 @@ def _explanations(answer: Verdict) -> pd.DataFrame:
             "explanation": " with ".join(one.effects),
             "probability": f"{one.probability:.3f}",
             "with something unknown": f"{one.beside_unknown:.3f}",
+            "held out": "" if one.foretold is None else f"{one.foretold:+.1f}",
             "size": "; ".join(quantity(name, e) for name, e in one.parameters.items()),
         }
         for one in answer.explanations
         if one.probability + one.beside_unknown >= 0.001
     ]
     rows += [
-        {"explanation": "none", "probability": f"{answer.p_none:.3f}", "with something unknown": "", "size": ""},
-        {"explanation": "unknown", "probability": f"{answer.p_unknown:.3f}", "with something unknown": "", "size": ""},
+        {"explanation": "none", "probability": f"{answer.p_none:.3f}"},
+        {"explanation": "unknown", "probability": f"{answer.p_unknown:.3f}"},
     ]
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows).fillna("")
+
+
+def _of_held_out(answer: Verdict) -> str:
+    """What the column of that name says, where it says anything."""
+    told = any(one.foretold is not None for one in answer.explanations)
+    return "<p>Held out: log likelihood gained over the base model on the half that helps to name.</p>" if told else ""
 
 
 def _places(answer: Verdict) -> pd.DataFrame:

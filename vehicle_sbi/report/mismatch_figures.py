@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from vehicle_sbi.data.recording import CHANNELS
-from vehicle_sbi.mismatch.explain import Explanation
+from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.improve import Prediction
 from vehicle_sbi.mismatch.verdict import Verdict, chosen

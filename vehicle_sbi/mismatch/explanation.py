@@ -1,0 +1,175 @@
+"""How probable each explanation is: none, sets of effects, and something unknown, alone or beside known effects.
+
+Probabilities follow from Laplace's evidence and a prior that is reluctant to add effects. Laws that no effect of the
+catalogue has make *unknown* probable where they do better than effects, and so does what the best set leaves over, by
+how often noise alone would leave as much. Further recordings, which nothing is fitted to, count by how likely each
+model makes them.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from vehicle_sbi.mismatch.belief import Belief
+from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model
+from vehicle_sbi.mismatch.fit import Observation
+from vehicle_sbi.mismatch.foretell import Foretold, foretold
+
+SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
+SURPRISE_TOLD = 0.5  # the same for the p-value of what is foretold
+FAILED = -1e3  # log likelihood of what cannot be simulated
+DOUBTED = -1.0  # log likelihood of what is foretold, beyond the base model's, below which a set is doubted
+BENEFIT = 0.1  # of the doubt: what is kept of its odds
+TEMPER = 0.5  # power of the evidence where the best set leaves nothing over
+LAPSE = 0.05  # probability that search or noise model fail, which is something unknown's too
+TOLD_APART = 3  # digits of a probability
+LEAST_P = 1e-9  # that counts as one
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Sets of effects, the most probable first, beside the base model and the best one, which were examined.
+
+    `unnamed` are models with a law that the catalogue does not have, the most probable first; `p_told` is how often
+    the best one's parameters would seem to move as much from one recording to another, if anything was foretold.
+    """
+
+    models: list[Model]
+    unnamed: list[Model]
+    base: Examined
+    best: Examined
+    belief: Belief
+    p_told: float | None = None
+
+    def foretelling(self, further: Observation, *, apart: bool) -> "Explanation":
+        """With what further recordings say of each model; as it is where the base model fails there."""
+        base = foretold(self.base.model, further, apart=apart)
+        if base is None or not self.detected:
+            return self
+        best = _told(self.best.model, base, further, apart)
+        models, unnamed = (
+            [_told(model, base, further, apart)[0] for model in some] for some in (self.models, self.unnamed)
+        )
+        told = replace(self, models=models, unnamed=unnamed, best=replace(self.best, model=best[0]), p_told=best[1])
+        return told.in_order()
+
+    def in_order(self) -> "Explanation":
+        """Sets by how probable they are; those that are hardly so alone by how probable beside something unknown."""
+        ranked = sorted(
+            zip(self.models, self.probability, self.standing, strict=True),
+            key=lambda one: (-round(one[1], TOLD_APART), -one[2]),
+        )
+        return replace(self, models=[model for model, _, _ in ranked])
+
+    @property
+    def standing(self) -> list[float]:
+        """How probable each set is, alone or beside something unknown."""
+        beside = self.beside_unknown
+        return [p + beside.get(model.effects, 0.0) for model, p in zip(self.models, self.probability, strict=True)]
+
+    @cached_property
+    def _shares(self) -> Float[np.ndarray, " k"]:
+        """Probabilities of all sets, of all with a law, of none and of what is left over, in this order.
+
+        Evidence is tempered: it takes the noise for exactly what it was modelled as, and so comes out too sure; the
+        more so, the more the best set leaves over. What is unknown is as probable as what the best set leaves over, and
+        how its parameters move from one recording to another, are surprising. What a right set adds to the base model
+        does not harm it elsewhere; one that does is doubted.
+        """
+        models = (*self.models, *self.unnamed, self.base.model, self.best.model)
+        weights = self._temper * np.array([model.weight(self.belief) for model in models])
+        weights[: len(self.models)] += np.log([BENEFIT if doubted(model) else 1.0 for model in self.models])
+        weights[-1] += np.log(self.belief.unknown) + _surprise(self.best.p_adequate, SURPRISE)
+        if self.p_told is not None:
+            weights[-1] += _surprise(self.p_told, SURPRISE_TOLD)
+        shares = (1.0 - LAPSE) * np.exp(weights - np.logaddexp.reduce(weights))
+        shares[-1] += LAPSE
+        return shares
+
+    @property
+    def _temper(self) -> float:
+        """Power of the evidence: deviations as large as what is left over would have come out by chance."""
+        return TEMPER / self.best.scores.excess
+
+    @property
+    def probability(self) -> list[float]:
+        """Of each set of effects."""
+        return self._shares[: len(self.models)].tolist()
+
+    @property
+    def laws(self) -> list[tuple[Model, float]]:
+        """Models with a law that the catalogue does not have, and their probabilities."""
+        return list(zip(self.unnamed, self._shares[len(self.models) : -2].tolist(), strict=True))
+
+    @cached_property
+    def beside_unknown(self) -> dict[tuple[str, ...], float]:
+        """How probable it is that a set of known effects and something unknown are missing, the most probable first.
+
+        The empty set is among them. Laws are fitted beside the best set of a size alone; beside the others they are
+        taken to do as well.
+        """
+        found: dict[tuple[str, ...], float] = {}
+        for effects, share in [*((model.effects, p) for model, p in self.laws), (self.best.model.effects, self._left)]:
+            for stand_in, part in self._stand_ins(effects).items():
+                found[stand_in] = found.get(stand_in, 0.0) + share * part
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+    def _stand_ins(self, effects: tuple[str, ...]) -> dict[tuple[str, ...], float]:
+        """Sets as large as this one, by how probable they are among themselves; itself if there are none."""
+        alike = [model for model in self.models if len(model.effects) == len(effects)]
+        if not alike:
+            return {effects: 1.0}
+        weight = self._temper * np.array([model.weight(self.belief) for model in alike])
+        parts = np.exp(weight - np.logaddexp.reduce(weight))
+        return {model.effects: float(part) for model, part in zip(alike, parts, strict=True)}
+
+    @property
+    def _left(self) -> float:
+        """Probability of what the best set leaves over being something that no law explains either."""
+        return float(self._shares[-1])
+
+    @property
+    def p_none(self) -> float:
+        """That nothing is missing."""
+        return float(self._shares[-2])
+
+    @property
+    def p_unknown(self) -> float:
+        """That something is missing which no set of known effects explains."""
+        return min(float(sum(self.beside_unknown.values())), 1.0)
+
+    @property
+    def p_value(self) -> float:
+        """How often noise alone would look as much as if something were missing."""
+        return self.base.p_value
+
+    @property
+    def detected(self) -> bool:
+        return self.p_value < LEVEL
+
+    def indistinguishable(self, share: float = 0.9) -> list[tuple[str, ...]]:
+        """The smallest set of explanations that holds `share` of the probability of all named ones."""
+        standing = np.array(self.standing)
+        order = np.argsort(-standing, kind="stable")
+        held = np.cumsum(standing[order]) / max(float(standing.sum()), 1e-300)
+        return [self.models[k].effects for k in order[: int(np.searchsorted(held, share)) + 1]]
+
+
+def doubted(model: Model) -> bool:
+    """Whether further recordings are less likely under the model than under the base model."""
+    return model.told < DOUBTED
+
+
+def _told(model: Model, base: Foretold, further: Observation, apart: bool) -> tuple[Model, float]:
+    """The model with what it foretells of further recordings beyond the base model, and the p-value of that."""
+    found = foretold(model, further, apart=apart)
+    if found is None:
+        return replace(model, told=FAILED), LEAST_P
+    return replace(model, told=found.log_likelihood - base.log_likelihood), found.p_value
+
+
+def _surprise(p: float, exponent: float) -> float:
+    """Log density of a p-value under something unknown, against that of nothing."""
+    return float(np.log(exponent) + (exponent - 1.0) * np.log(max(p, LEAST_P)))
