@@ -22,6 +22,7 @@ from vehicle_sbi.physics.effects import CATALOGUE
 SCHEMA = 1
 LISTED = 10  # explanations at most
 SPELLED_OUT = 5  # parameters of an effect at most
+ALTERNATIVES = 5  # explanations that are named beside the likeliest one
 LIKELY = 0.02  # probability of sets, from which doubts about them are worth a note
 SPOKEN_OF = 0.2  # probability of something unknown from which it is said what that would be
 
@@ -278,7 +279,10 @@ def sentence(
         said.append(unknown.sentence)
     others = [effects for effects in together if effects != explanation.models[0].effects]
     if others:
-        said.append(f"These recordings cannot tell it from {', or '.join(_listed(o) for o in others)}.")
+        named = [_listed(one) for one in others[:ALTERNATIVES]]
+        more = len(others) - len(named)
+        named += [f"{more} more {'set' if more == 1 else 'sets'} of effects"] if more else []
+        said.append(f"These recordings cannot tell it from {', or '.join(named)}.")
     if gained is not None:
         gain = f"On held-out data the extended model gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample"
         said.append(f"{gain}." if gained.certain else f"{gain}, which is not certain to be a gain.")
