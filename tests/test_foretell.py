@@ -99,6 +99,8 @@ def test_a_drive_at_another_speed_tells_apart_what_fits_alike(alike: Explanation
     assert abs(np.log(probability(alike, "yaw_moment") / probability(alike, "steering_offset"))) < np.log(20)
     assert probability(told, "yaw_moment") > 20 * probability(told, "steering_offset")
     assert told.models[0].effects == ("yaw_moment",)
+    assert next(iter(told.single)) == "yaw_moment"
+    assert told.single["yaw_moment"] >= probability(told, "yaw_moment")
     assert sum(told.probability) + told.p_none + told.p_unknown == pytest.approx(1.0)
 
 

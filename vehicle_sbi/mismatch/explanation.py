@@ -69,6 +69,15 @@ class Explanation:
         beside = self.beside_unknown
         return [p + beside.get(model.effects, 0.0) for model, p in zip(self.models, self.probability, strict=True)]
 
+    @property
+    def single(self) -> dict[str, float]:
+        """How probable it is that each effect is missing, whatever else is, the most probable first."""
+        found: dict[str, float] = {}
+        for model, p in zip(self.models, self.standing, strict=True):
+            for effect in model.effects:
+                found[effect] = min(found.get(effect, 0.0) + p, 1.0)
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
+
     @cached_property
     def _shares(self) -> Float[np.ndarray, " k"]:
         """Probabilities of all sets, of all with a law, of none and of what is left over, in this order.

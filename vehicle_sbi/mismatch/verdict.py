@@ -111,13 +111,15 @@ class Score:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the diagnosis says; its fields are those of verdict.json."""
+    """What the diagnosis says; its fields are those of verdict.json. `effects`: how probable it is that each of them is
+    missing, whatever else is."""
 
     schema: int
     detected: bool
     p_value: float
     mismatch: list[Place]
     explanations: list[Named]
+    effects: dict[str, float]
     p_none: float
     p_unknown: float
     unknown: Unknown | None
@@ -187,6 +189,7 @@ def verdict(
         p_value=explanation.p_value,
         mismatch=places(explanation) if explanation.detected else [],
         explanations=found,
+        effects=explanation.single,
         p_none=explanation.p_none,
         p_unknown=explanation.p_unknown + rest,
         unknown=unknown,
@@ -283,6 +286,7 @@ def sentence(
         more = len(others) - len(named)
         named += [f"{more} more {'set' if more == 1 else 'sets'} of effects"] if more else []
         said.append(f"These recordings cannot tell it from {', or '.join(named)}.")
+        said.append(_whatever_else(explanation.single))
     if gained is not None:
         gain = f"On held-out data the extended model gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample"
         said.append(f"{gain}." if gained.certain else f"{gain}, which is not certain to be a gain.")
@@ -325,6 +329,12 @@ def _sizes(effect: str, own: Mapping[str, Estimate]) -> list[str]:
         return [quantity(name, e) for name, e in values.items()]
     low, high = min(e.mean for e in values.values()), max(e.mean for e in values.values())
     return [f"{effect}: {len(values)} values from {low:.2g} to {high:.2g} {next(iter(values.values())).unit}"]
+
+
+def _whatever_else(single: Mapping[str, float]) -> str:
+    """How probable each effect is over all sets that hold it; the likeliest one and those that are at all likely."""
+    likely = [f"{name} {p:.2f}" for k, (name, p) in enumerate(single.items()) if k == 0 or p > SPOKEN_OF]
+    return f"Whatever else is missing, the probability that an effect is: {', '.join(likely[:ALTERNATIVES])}."
 
 
 def _limits(seen: Card) -> str:
