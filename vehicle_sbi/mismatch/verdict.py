@@ -20,7 +20,7 @@ from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.physics.effects import CATALOGUE
 
 SCHEMA = 1
-LISTED = 10  # explanations at most
+LISTED = 40  # explanations at most
 SPELLED_OUT = 5  # parameters of an effect at most
 ALTERNATIVES = 5  # explanations that are named beside the likeliest one
 LIKELY = 0.02  # probability of sets, from which doubts about them are worth a note

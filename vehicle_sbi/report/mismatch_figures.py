@@ -59,6 +59,9 @@ def probabilities(answer: Verdict, path: Path) -> None:
     """A bar for each explanation, alone and with something unknown beside it, for none and for unknown alone."""
     likeliest = sorted(answer.explanations, key=lambda one: -one.probability - one.beside_unknown)
     bars = [(" + ".join(one.effects), one.probability, one.beside_unknown) for one in likeliest[:MOST_BARS]]
+    if rest := likeliest[MOST_BARS:]:
+        others = sum(one.probability for one in rest), sum(one.beside_unknown for one in rest)
+        bars.append((f"{len(rest)} other sets", *others))
     alone = answer.p_unknown - sum(one.beside_unknown for one in answer.explanations)
     bars += [("none", answer.p_none, 0.0), ("unknown alone", 0.0, max(alone, 0.0))]
     with matplotlib.rc_context(STYLE):
