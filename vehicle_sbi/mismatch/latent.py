@@ -36,9 +36,9 @@ class Latent:
     @property
     def sentence(self) -> str:
         """What it would take, in words."""
-        k = self.largest
+        k, article = self.largest, "an" if self.quantity[0] in "aeiou" else "a"
         return (
-            f"What is left over would take a {self.quantity} of up to {self.size[k]:.3g} {self.unit} "
+            f"What is left over would take {article} {self.quantity} of up to {self.size[k]:.3g} {self.unit} "
             f"from {self.from_s[k]:.1f} to {self.to_s[k]:.1f} s."
         )
 
