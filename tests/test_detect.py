@@ -23,6 +23,23 @@ def scores(b: float, information: float, low: float, high: float) -> Scores:
     return Scores(*one, null=np.zeros((1, 1)))
 
 
+def test_the_excess_is_the_square_of_what_is_left_over_in_units_of_what_noise_reaches() -> None:
+    """The largest of two scores in drawn noise is 0, 1, ... 20: its 95 % quantile is 19."""
+    highest = np.arange(21.0)
+    for z, expected in (((3.0, -38.0), 4.0), ((19.0, 5.0), 1.0), ((0.5, 0.1), 1.0)):
+        size = np.array(z)
+        one = Scores(
+            0.5 * size**2,
+            size,
+            np.ones(2),
+            -100.0 * np.ones(2),
+            100.0 * np.ones(2),
+            np.stack([highest, -highest], axis=1),
+        )
+        assert one.excess == pytest.approx(expected)
+    assert replace(one, null=np.zeros((0, 2))).excess == 1.0  # nothing was drawn
+
+
 def bumps_of(fit: Fit, channel: int) -> np.ndarray:
     """Every stretch of time of one channel."""
     spans = stretches(fit.simulator)

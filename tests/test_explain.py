@@ -10,7 +10,7 @@ from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.examine import Model, examine, versions
 from vehicle_sbi.mismatch.explain import exchanged, explain, extended
-from vehicle_sbi.mismatch.explanation import Explanation
+from vehicle_sbi.mismatch.explanation import LAPSE, Explanation
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.mismatch.verdict import estimates, places
@@ -26,6 +26,7 @@ def test_nothing_is_said_where_nothing_is_missing() -> None:
     assert not found.detected
     assert found.p_none > 0.5
     assert found.p_none + found.p_unknown + sum(found.probability) == pytest.approx(1.0)
+    assert found.p_unknown >= LAPSE
 
 
 def test_a_known_effect_is_named_with_its_size() -> None:
