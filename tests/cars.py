@@ -163,12 +163,14 @@ def simulate(
     input_noise: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """All MEASUREMENTS of n records over one window, (n, 10, time), and their outcomes (n,); u (time, 9)."""
+    speed_group = "wheel_speed" if drive == "wheel_speed" else "can"
     n = len(records)
     start = np.broadcast_to(np.asarray(initial, dtype=float), (n, 1, 3)).copy()
     y, outcomes = np.empty((n, len(MEASUREMENTS), len(u))), np.full(n, -1)
     batch_simulator(model)(
         records.copy(),
         DRIVES[drive],
+        GROUPS.index(speed_group),
         u[np.newaxis],
         np.zeros((n, 1, 4)) if stiffness_noise is None else stiffness_noise,
         np.zeros((n, 1, 2)) if input_noise is None else input_noise,

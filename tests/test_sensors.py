@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from vehicle_sbi.physics.effects import derive
-from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, MOTION, imu_misalignment, lever_arm, measure, report
+from vehicle_sbi.physics.sensors import (
+    GROUPS,
+    MEASUREMENTS,
+    MOTION,
+    imu_misalignment,
+    lever_arm,
+    measure,
+    report,
+    unreported,
+)
 
 EPS = np.finfo(float).eps
 G, V = 9.81, 10.5
@@ -235,3 +244,25 @@ def test_any_delay_of_a_ramp_is_exact(delay: float) -> None:
     t, out = np.arange(200) / RATE, np.empty(200)
     report(record_of(RIGID, sensor_delay_imu=delay)[0], t, 0, RATE, out)
     assert out == pytest.approx(np.maximum(t - delay, 0.0), abs=1e-13)
+
+
+@pytest.mark.parametrize("group", range(len(GROUPS)))
+def test_what_a_group_reported_leads_back_to_what_there_was(group: int) -> None:
+    # A speed that rises and falls, through the closed form of a lag's steady answer to a sine. The derivative is a
+    # central difference, (w h)^2 / 6 short of the true one, and series are linear between samples, (w h)^2 / 8 of the
+    # amplitude off; at the end series go on as their reflection, which is off by the curvature times the square of how
+    # far that is.
+    w, lag, delay, h = 2.0, 0.1, 0.083, 1.0 / RATE
+    t = np.arange(round(6.0 * RATE)) * h
+    truth = 20.0 + 3.0 * np.sin(w * t)
+    phase = w * (t - delay) - math.atan(w * lag)
+    reported = 20.0 + 3.0 / math.hypot(1.0, w * lag) * np.sin(phase)
+    p = record_of(RIGID, **{f"sensor_lag_{GROUPS[group]}": lag, f"sensor_delay_{GROUPS[group]}": delay})[0]
+    found = truth.copy()
+    unreported(p, reported, group, RATE, found)
+    inside = t < t[-1] - delay - h
+    assert np.abs(found - truth)[inside].max() < 3.0 * (w * h) ** 2 * (1.0 / 8.0 + w * lag / 6.0) * 1.1
+    assert np.abs(found - truth).max() < 3.0 * w**2 * (delay + h) * (delay + h + 2.0 * lag)
+    untouched = np.zeros(4)
+    unreported(record_of(RIGID)[0], reported[:4], group, RATE, untouched)
+    assert np.array_equal(untouched, np.zeros(4))

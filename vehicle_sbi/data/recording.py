@@ -92,7 +92,8 @@ class Windows:
 
     u: inputs in the order of `INPUTS`, held over the padded end of a last window; x0: v_x [m/s], v_y [m/s] and
     yaw rate [rad/s] at each start, x0_std their standard deviations; y: measurements, window after window (NaN where
-    there is none); valid: what is to be fitted; t: recording time [s].
+    there is none); valid: what is to be fitted; t: recording time [s]; groups: the sensors of each channel, speed_group
+    those of the speeds that drive the model.
     """
 
     rate: float
@@ -105,6 +106,7 @@ class Windows:
     groups: tuple[str, ...]
     t: Float[np.ndarray, "windows time"]
     notes: tuple[str, ...] = ()
+    speed_group: str = "can"
 
 
 def joined(parts: Sequence[Windows], names: Sequence[str]) -> Windows:
@@ -115,7 +117,7 @@ def joined(parts: Sequence[Windows], names: Sequence[str]) -> Windows:
     """
     first, elapsed, u = parts[0], 0.0, []
     for part, name in zip(parts, names, strict=True):
-        for what in ("rate", "channels", "groups"):
+        for what in ("rate", "channels", "groups", "speed_group"):
             if getattr(part, what) != getattr(first, what):
                 raise InputError(
                     f"recordings {names[0]} and {name} differ in their {what}: {getattr(first, what)} and "
@@ -283,6 +285,7 @@ class Recording:
             x0_std=state_std,
             channels=tuple(channels),
             groups=tuple(self.group(name) for name in channels),
+            speed_group=self.group(NEEDED[drive][0]),
             t=(self.t[index[:, :1]] + np.arange(n) / self.rate)[fitted],
             notes=(*self.notes, *notes),
         )

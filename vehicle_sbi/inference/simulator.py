@@ -110,6 +110,7 @@ class Simulator:
         batch_simulator(self.model)(
             self.space.records(theta, self.nominal),
             DRIVES[self.drive],
+            GROUPS.index(self.windows.speed_group),
             self.windows.u,
             draws.stiffness,
             draws.inputs,

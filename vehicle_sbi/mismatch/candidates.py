@@ -6,7 +6,7 @@ what the recording would look like with a little of the effect.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,13 +57,13 @@ class Direction:
     @property
     def clocked(self) -> dict[str, Parameter]:
         """What says when it acts, `start` and `duration`; empty for what acts all the time."""
-        timed = {p.name.split(".")[-1]: p for p in self.held}
+        timed = {_leaf(p): p for p in self.held}
         return {key: timed[key] for key in SPAN} if set(SPAN) <= timed.keys() else {}
 
     @property
     def key(self) -> tuple[str, tuple[float, ...]]:
-        """What tells it from other shapes of the same direction."""
-        return self.parameter.name, tuple(self.held.values())
+        """What tells it from other shapes and steps of the same direction."""
+        return self.parameter.name, (self.step, *self.held.values())
 
     def during(self, start: float, duration: float) -> "Direction":
         """The same from a start on for a duration [s]."""
@@ -108,7 +108,7 @@ def within(simulator: Simulator, effect: Effect) -> Effect:
     What comes and goes lasts half of a recording at most: longer, it is a difference between recordings.
     """
     reach = {"start": extent(simulator), "duration": LASTING * longest(simulator)}
-    parameters = (replace(p, high=reach.get(p.name.split(".")[-1], p.high)) for p in effect.parameters)
+    parameters = (replace(p, high=reach.get(_leaf(p), p.high)) for p in effect.parameters)
     return replace(effect, parameters=tuple(parameters))
 
 
@@ -142,12 +142,23 @@ def _stepping(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effe
     held = {p: middle(p) for p in free if not acts[p]}
     if any(acts.values()):
         return [_shaped(simulator, theta, Direction(effect.name, p, held, step)) for p in free if acts[p]]
-    for p in free:
+    for p in (p for p in free if _leaf(p) not in SPAN):
         shape = {other: value for other, value in held.items() if other is not p}
-        rested, moved = responses(simulator, theta, [shape, shape | {p: away(p, step)}])
+        ever = shape | _throughout(simulator, shape)
+        rested, moved = responses(simulator, theta, [ever, ever | {p: away(p, step)}])
         if np.array_equal(rested, quiet) and not np.array_equal(moved, quiet):
             return [_shaped(simulator, theta, Direction(effect.name, p, shape, step))]
     return []
+
+
+def _leaf(p: Parameter) -> str:
+    return p.name.split(".")[-1]
+
+
+def _throughout(simulator: Simulator, shape: Mapping[Parameter, float]) -> dict[Parameter, float]:
+    """The span, if there is one, as all of the recordings' time."""
+    span = {"start": 0.0, "duration": extent(simulator)}
+    return {p: span[_leaf(p)] for p in shape if _leaf(p) in span}
 
 
 def _differ(y: Float[np.ndarray, "channels time"], from_y: Float[np.ndarray, "channels time"]) -> bool:
@@ -158,10 +169,13 @@ def _shaped(simulator: Simulator, theta: Float[np.ndarray, " d"], direction: Dir
     """The direction without those held parameters that make no difference to it."""
     if not direction.held:
         return direction
-    moved = {**direction.held, direction.parameter: direction.away}
+    ever = _throughout(simulator, direction.held)
+    moved = {**direction.held, **ever, direction.parameter: direction.away}
     y = responses(simulator, theta, [moved, *({**moved, p: null(p)} for p in direction.held)])
     matters = {
-        p: value for (p, value), other in zip(direction.held.items(), y[1:], strict=True) if _differ(other, y[0])
+        p: value
+        for (p, value), other in zip(direction.held.items(), y[1:], strict=True)
+        if p in ever or _differ(other, y[0])
     }
     return replace(direction, held=matters)
 

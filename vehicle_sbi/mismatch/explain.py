@@ -17,7 +17,6 @@ from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model, Version, examin
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Fit, descend, likeliest, with_own_noise
 from vehicle_sbi.mismatch.laws import under
-from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -26,6 +25,7 @@ LEAST_SHARE, SLACK = 0.65, 8.0  # of the best one's first-order evidence that th
 BEAM = 2  # models that are extended further
 LAWS_TRIED = 2  # that are fitted fully beside a model
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
+EXCHANGES = 3  # of effects of the best set, at most: each may show a better set
 HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance to add one
 BELIEF = Belief()
 
@@ -95,8 +95,7 @@ def explain(
         return model.weight(belief)
 
     none = Model((), base, 0.0)
-    repertoire = Repertoire.around(base, known)
-    first = examine(none, repertoire, rng)
+    first = examine(none, known, rng)
     pool: dict[tuple[str, ...], Model] = {(): none}
     best = first
     frontier = [first] if first.p_value < LEVEL else []
@@ -113,23 +112,27 @@ def explain(
         leading = sorted(grown.values(), key=weight, reverse=True)[:BEAM]
         if not leading or weight(leading[0]) <= weight(best.model):
             break
-        best = examine(leading[0], repertoire, rng)
+        best = examine(leading[0], known, rng)
         if best.p_value > LEVEL:
             break
-        frontier = [best, *(examine(model, repertoire, rng) for model in leading[1:])]
+        frontier = [best, *(examine(model, known, rng) for model in leading[1:])]
         unnamed += ruled(best)
         promising |= {version.effect for examined in frontier for version in versions(examined)[:TRIED]}
     unnamed.sort(key=weight, reverse=True)
-    for model in exchanged(best.model, repertoire.only(promising), rng):
-        tried(" + ".join(model.effects))
-        pool[model.effects] = max(model, pool.get(model.effects, model), key=weight)
-    named = sorted((model for model in pool.values() if model.effects), key=weight, reverse=True)
-    if named and weight(named[0]) > weight(best.model):
-        best = examine(named[0], repertoire, rng)
+    likely = [direction for direction in known if direction.effect in promising]
+    named: list[Model] = []
+    for _ in range(EXCHANGES):
+        for model in exchanged(best.model, likely, rng):
+            tried(" + ".join(model.effects))
+            pool[model.effects] = max(model, pool.get(model.effects, model), key=weight)
+        named = sorted((model for model in pool.values() if model.effects), key=weight, reverse=True)
+        if not named or weight(named[0]) <= weight(best.model):
+            break
+        best = examine(named[0], known, rng)
     return Explanation(named, unnamed, first, best, belief).in_order()
 
 
-def exchanged(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Iterator[Model]:
+def exchanged(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Iterator[Model]:
     """A set of several effects without each of them, and with others that promise as much in its place.
 
     The search has grown the set one by one, and so has not seen what could stand in for those that came first; nor what
@@ -138,7 +141,7 @@ def exchanged(model: Model, repertoire: Repertoire, rng: np.random.Generator) ->
     for effect in model.effects if len(model.effects) > 1 else ():
         if (rest := without(model, effect)) is not None:
             yield rest
-            yield from _grow(glance(rest, repertoire, rng))
+            yield from _grow(glance(rest, known, rng))
 
 
 def _grow(examined: Examined) -> Iterator[Model]:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model
 from vehicle_sbi.mismatch.fit import Observation
-from vehicle_sbi.mismatch.foretell import Foretold, foretold
+from vehicle_sbi.mismatch.foretell import foretold
 
 SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
 SURPRISE_TOLD = 0.5  # the same for the p-value of what is foretold
@@ -44,16 +44,26 @@ class Explanation:
     p_told: float | None = None
 
     def foretelling(self, further: Observation, *, apart: bool) -> "Explanation":
-        """With what further recordings say of each model; as it is where the base model fails there."""
+        """With what further recordings say of each model; as it is where the base model fails there.
+
+        What even the best of them leaves over there counts as noise, which likelihoods are taken under.
+        """
         base = foretold(self.base.model, further, apart=apart)
         if base is None or not self.detected:
             return self
-        best = _told(self.best.model, base, further, apart)
-        models, unnamed = (
-            [_told(model, base, further, apart)[0] for model in some] for some in (self.models, self.unnamed)
-        )
-        told = replace(self, models=models, unnamed=unnamed, best=replace(self.best, model=best[0]), p_told=best[1])
-        return told.in_order()
+        models = [*self.models, *self.unnamed, self.best.model]
+        found = [foretold(model, further, apart=apart) for model in models]
+        noise = max(1.0, min(one.left for one in (base, *found) if one is not None))
+        told = [
+            replace(model, told=FAILED if one is None else (one.log_likelihood - base.log_likelihood) / noise)
+            for model, one in zip(models, found, strict=True)
+        ]
+        *others, best = told
+        p_told = LEAST_P if found[-1] is None else found[-1].p_value
+        named, unnamed = others[: len(self.models)], others[len(self.models) :]
+        return replace(
+            self, models=named, unnamed=unnamed, best=replace(self.best, model=best), p_told=p_told
+        ).in_order()
 
     def in_order(self) -> "Explanation":
         """Sets by how probable they are; those that are hardly so alone by how probable beside something unknown."""
@@ -169,14 +179,6 @@ class Explanation:
 def doubted(model: Model) -> bool:
     """Whether further recordings are less likely under the model than under the base model."""
     return model.told < DOUBTED
-
-
-def _told(model: Model, base: Foretold, further: Observation, apart: bool) -> tuple[Model, float]:
-    """The model with what it foretells of further recordings beyond the base model, and the p-value of that."""
-    found = foretold(model, further, apart=apart)
-    if found is None:
-        return replace(model, told=FAILED), LEAST_P
-    return replace(model, told=found.log_likelihood - base.log_likelihood), found.p_value
 
 
 def _surprise(p: float, exponent: float) -> float:

@@ -10,6 +10,7 @@ so that everything else is least squares: Gauss-Newton steps in A's units inside
 fit leaves over, both in turn until neither moves.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +29,8 @@ SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tr
 MOST_STEPS = 15
 CONVERGED = 0.01  # decrease of half the sum of squares, which is log likelihood, at which a fit ends
 MOST_DEAD_TIMES = 100  # that are tried of one
+REACHES_S = (2.0, 0.5, 0.125)  # [s] within which the beginning and the end of something are moved, in turn
+FINENESS = 6  # steps of them to either side
 NOISE_ROUNDS = 4  # of fit and noise at most
 MEMORY_S = 0.5  # [s], the correlation time of noise at most: what is slower is physics, or a sensor that drifts
 STATES = ("v_x", "v_y", "r")
@@ -240,29 +243,55 @@ def descend(observation: Observation, start: Float[np.ndarray, " d"], steps: int
 
 
 def likeliest(observation: Observation, start: Float[np.ndarray, " d"], steps: int = MOST_STEPS) -> Fit | None:
-    """The optimum that Gauss-Newton finds from `start`, or from there with a dead time elsewhere, if that is likelier.
+    """The optimum that Gauss-Newton finds from `start`, or from there at other times, if that is likelier.
 
     A series that is linear between samples has a kink in its derivative by a dead time at every whole sample, and a
-    rough one (acceleration from a measured speed) an optimum near each.
+    rough one (acceleration from a measured speed) an optimum near each. Something that begins and ends has one near
+    each place in the recording that it may begin or end at.
     """
     fit = descend(observation, start, steps)
-    for k, name in enumerate(observation.simulator.space.names if fit is not None else ()):
-        if fit is not None and name in DEAD_TIMES:
-            moved = descend(observation, elsewhere(fit, k), steps)
-            fit = moved if moved is not None and moved.log_likelihood > fit.log_likelihood else fit
+    names = observation.simulator.space.names
+    for k, name in enumerate(names if fit is not None else ()):
+        lasts = name.replace(".start", ".duration")
+        if name in DEAD_TIMES:
+            fit = _likelier(fit, elsewhere(fit, k), steps)
+        elif lasts != name and lasts in names:
+            for reach in REACHES_S:
+                fit = _likelier(fit, begun(fit, k, names.index(lasts), reach), steps)
     return fit
+
+
+def _likelier(fit: Fit, theta: Float[np.ndarray, " d"], steps: int) -> Fit:
+    """The optimum from `theta`, if it is likelier than the fit."""
+    moved = descend(fit.observation, theta, steps)
+    return moved if moved is not None and moved.log_likelihood > fit.log_likelihood else fit
 
 
 def elsewhere(fit: Fit, k: int) -> Float[np.ndarray, " d"]:
     """theta with dead time k where in its box the model fits best, the other parameters following at first order."""
-    space, windows = fit.simulator.space, fit.simulator.windows
-    step = max(0.5 / windows.rate, (space.high[k] - space.low[k]) / MOST_DEAD_TIMES)
-    tried = np.arange(space.low[k], space.high[k], step)
+    space = fit.simulator.space
+    step = max(0.5 / fit.simulator.windows.rate, (space.high[k] - space.low[k]) / MOST_DEAD_TIMES)
+    return _best_of(fit, [k], np.arange(space.low[k], space.high[k], step)[:, None])
+
+
+def begun(fit: Fit, start: int, duration: int, reach: float) -> Float[np.ndarray, " d"]:
+    """theta with the span of what begins and lasts where the model fits best, within a reach [s] of where it is now."""
+    space, places = fit.simulator.space, [start, duration]
+    begins, lasts = fit.theta[places]
+    moves = np.linspace(-reach, reach, 2 * FINENESS + 1)
+    first, last = np.meshgrid(begins + moves, begins + lasts + moves, indexing="ij")
+    tried = np.stack([first.ravel(), (last - first).ravel()], axis=-1)
+    within = (tried >= space.low[places]) & (tried <= space.high[places]) & (tried[:, 1:] > 0.0)
+    return _best_of(fit, places, np.concatenate([fit.theta[None, places], tried[within.all(axis=1)]]))
+
+
+def _best_of(fit: Fit, places: Sequence[int], tried: Float[np.ndarray, "n places"]) -> Float[np.ndarray, " d"]:
+    """theta with those values in some places at which the model fits best, the others following at first order."""
     points = np.repeat(fit.theta[None], len(tried), axis=0)
-    points[:, k] = tried
-    off = np.where(windows.valid, fit.observation.observed - fit.simulator.noise_free(points), 0.0)
+    points[:, places] = tried
+    off = np.where(fit.simulator.windows.valid, fit.observation.observed - fit.simulator.noise_free(points), 0.0)
     r = fit.metric(np.nan_to_num(off)).reshape(len(tried), -1)
-    others = np.delete(fit.metric(fit.at.J), k, axis=0).reshape(len(fit.theta) - 1, r.shape[1])
+    others = np.delete(fit.metric(fit.at.J), places, axis=0).reshape(len(fit.theta) - len(places), r.shape[1])
     followed, _ = np.linalg.qr(others.T)
     left = np.sum(r**2, axis=1) - np.sum((r @ followed) ** 2, axis=1)
     return points[int(np.argmin(np.where(np.isfinite(off).all(axis=(1, 2)), left, np.inf)))]

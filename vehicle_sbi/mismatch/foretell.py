@@ -27,10 +27,15 @@ LENIENT = 1.5  # variance over that of the fit by which parameters of a model th
 
 @dataclass(frozen=True)
 class Foretold:
-    """How likely recordings are under a model, and how often parameters that stay would seem to move as much."""
+    """How likely recordings are under a model, and how often parameters that stay would seem to move as much.
+
+    `left` is the mean square of what the model leaves over there, in units of the noise, once its parameters have moved
+    as far as their fit allows.
+    """
 
     log_likelihood: float
     p_value: float
+    left: float
 
 
 def foretold(model: Model, observation: Observation, *, apart: bool) -> Foretold | None:
@@ -49,7 +54,7 @@ def foretold(model: Model, observation: Observation, *, apart: bool) -> Foretold
     left = float(r @ r - np.sum(q**2 * s**2 / (1.0 + s**2))) / max(int(there.simulator.windows.valid.sum()), 1)
     seen = s > SEEN
     moved_by = float(np.sum((q**2 / (1.0 + s**2))[seen])) / (LENIENT * max(left, 1.0))
-    return Foretold(log_likelihood, float(chi2.sf(moved_by, seen.sum())) if seen.any() else 1.0)
+    return Foretold(log_likelihood, float(chi2.sf(moved_by, seen.sum())) if seen.any() else 1.0, left)
 
 
 def elsewhere(model: Model, observation: Observation, *, apart: bool) -> Fit:

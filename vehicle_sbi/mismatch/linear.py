@@ -7,7 +7,7 @@ AR(1) process,
            N_c S_c = sum_t (e_t - rho_c e_(t-1))^2,   e = r - J beta - a g_k
 
 is how likely the recording is with a little of direction k (its size a within bounds) under the noise that is then left
-over.
+over. A parameter on the rim of its box, where what is missing may have pushed it, can come back in beside a direction.
 """
 
 from collections.abc import Sequence
@@ -23,6 +23,7 @@ from vehicle_sbi.mismatch.fit import MEMORY_S, Fit
 ITERATIONS = 6  # of sizes and noise, in turn
 LEAST_VARIANCE = 1e-18
 STEADYING = 1e-9  # of the diagonal, for directions that are one and the same
+WIDTH = 12.0**0.5  # of a uniform prior, in its standard deviations
 
 Products = Float[np.ndarray, "3 channels i j"]
 
@@ -30,10 +31,14 @@ Products = Float[np.ndarray, "3 channels i j"]
 @dataclass(frozen=True)
 class Linearised:
     """A fit at first order: residual, what parameters and then initial states do (m, channels, time), how many of the
-    latter there are, and the neighbouring valid samples of each channel."""
+    latter there are, and the neighbouring valid samples of each channel.
+
+    `back` is what parameters do that lie on the rim, per standard deviation of the prior into the box.
+    """
 
     fit: Fit
     J: Float[np.ndarray, "m channels time"]
+    back: Float[np.ndarray, "p channels time"]
     states: int
     residual: Float[np.ndarray, "1 channels time"]
     pairs: Sequence[np.ndarray]
@@ -49,7 +54,10 @@ class Linearised:
         same = np.arange(1, windows.valid.shape[1]) % length > 0
         pairs = [1 + np.flatnonzero(valid[1:] & valid[:-1] & same) for valid in windows.valid]
         J = np.concatenate([fit.at.J[fit.inside], states])
-        return cls(fit, np.nan_to_num(J), len(states), fit.residual[None], pairs)
+        space = fit.simulator.space
+        inwards = np.where(fit.theta < 0.5 * (space.low + space.high), 1.0, -1.0)
+        back = (inwards[:, None, None] * fit.at.J)[~fit.inside]
+        return cls(fit, np.nan_to_num(J), np.nan_to_num(back), len(states), fit.residual[None], pairs)
 
     @property
     def count(self) -> Float[np.ndarray, " channels"]:
@@ -179,14 +187,23 @@ def profile(
     about: Linearised, changes: Float[np.ndarray, "k q channels time"], low: np.ndarray, high: np.ndarray
 ) -> Profiled:
     """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best."""
-    q, m = changes.shape[1], len(about.J)
-    quadratic, prior = Quadratic.of(about, changes), np.diag(np.repeat([1.0, 0.0], [m, q]))
+    k, q, m, p = *changes.shape[:2], len(about.J), len(about.back)
+    beside = np.broadcast_to(about.back, (k, *about.back.shape))
+    quadratic = Quadratic.of(about, np.concatenate([beside, changes], axis=1))
+    prior = np.diag(np.repeat([1.0, 0.0], [m, p + q]))
+    low, high = (
+        np.concatenate([np.full((k, p), rim), np.broadcast_to(end, (k, q))], axis=1)
+        for rim, end in ((0.0, low), (WIDTH, high))
+    )
     x = quadratic.solved(prior, low, high)
     log_likelihood = quadratic.log_likelihood(x) - 0.5 * np.sum(x[:, :m] ** 2, axis=1)
     A, _ = quadratic.weighted(x, prior)
-    cross = A[:, m:, :m]
-    information = A[:, m:, m:] - cross @ np.linalg.solve(A[:, :m, :m], np.swapaxes(cross, 1, 2))
-    return Profiled(x[:, m:], log_likelihood, information)
+    free = np.concatenate([np.ones((k, m)), x[:, m : m + p] > 0.0], axis=1)
+    both = free[:, :, None] * free[:, None, :]
+    others = np.where(both > 0.0, A[:, : m + p, : m + p], np.eye(m + p))
+    cross = A[:, m + p :, : m + p] * free[:, None, :]
+    information = A[:, m + p :, m + p :] - cross @ np.linalg.solve(others, np.swapaxes(cross, 1, 2))
+    return Profiled(x[:, m + p :], log_likelihood, information)
 
 
 def gained(about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> float:
@@ -213,12 +230,19 @@ def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m:
     """Solutions of A x = g whose last entries lie within their bounds, the others at their best given those.
 
     Solved in units in which A has a diagonal of ones: sizes may be of any order, and what steadies one must not hold
-    another.
+    another. Entries that go beyond a bound are held there, and the rest is solved again.
     """
+    k, n = g.shape
     unit = np.maximum(np.diagonal(A, axis1=1, axis2=2), LEAST_VARIANCE) ** -0.5
-    A = A * unit[:, :, None] * unit[:, None, :] + STEADYING * np.eye(A.shape[1])
-    x = np.linalg.solve(A, (g * unit)[..., None])[..., 0]
-    size = np.clip(x[:, m:] * unit[:, m:], low, high)
-    rest = (g * unit)[:, :m] - np.einsum("kij,kj->ki", A[:, :m, m:], size / unit[:, m:])
-    others = np.linalg.solve(A[:, :m, :m], rest[..., None])[..., 0]
-    return np.concatenate([others * unit[:, :m], size], axis=1)
+    A, g = A * unit[:, :, None] * unit[:, None, :] + STEADYING * np.eye(n), g * unit
+    bounds = np.full((2, k, n), [[[-np.inf]], [[np.inf]]])
+    bounds[..., m:] = np.broadcast_to(low, (k, n - m)), np.broadcast_to(high, (k, n - m))
+    low, high = bounds / unit
+    x = np.linalg.solve(A, g[..., None])[..., 0]
+    held = np.zeros(x.shape, dtype=bool)
+    while (beyond := ((x < low) | (x > high)) & ~held).any():
+        held |= beyond
+        rows = beyond.any(axis=1)
+        at = np.where(held, np.clip(x, low, high), g)[rows]
+        x[rows] = np.linalg.solve(np.where(held[rows, :, None], np.eye(n), A[rows]), at[..., None])[..., 0]
+    return np.clip(x, low, high) * unit

@@ -157,3 +157,24 @@ def report(p, signal, group: int, rate: float, out) -> None:
             before, signal[k] = signal[k], value
     for k in range(len(signal)):
         out[k] = signal[k] if shift == 0.0 else interpolate(signal, k - shift)
+
+
+@compiled_apart
+def unreported(p, signal, group: int, rate: float, out) -> None:
+    """Write to `out` what a smooth channel (time,) was before its group of sensors reported it: earlier, and ahead of
+    its lag. Beyond its end it goes on as its reflection there."""
+    lag, shift = sensor_lag(p, group), sensor_delay(p, group) * rate
+    if lag == 0.0 and shift == 0.0:
+        return
+    for k in range(len(signal)):
+        change = 0.5 * (onwards(signal, k + shift + 1.0) - onwards(signal, k + shift - 1.0))
+        out[k] = onwards(signal, k + shift) + lag * rate * change
+
+
+@compiled
+def onwards(signal, position: float) -> float:
+    """The signal at a fractional sample, reflected about its last one beyond that."""
+    last = len(signal) - 1
+    if position <= last:
+        return interpolate(signal, position)
+    return 2.0 * signal[last] - interpolate(signal, 2.0 * last - position)

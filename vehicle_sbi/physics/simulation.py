@@ -14,8 +14,21 @@ from numba import njit, prange
 from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import derive, latent_sensor, latent_steering, steer, torques
-from vehicle_sbi.physics.sensors import MEASUREMENTS, MOTION, measure, report
-from vehicle_sbi.physics.single_track import DELTA, T_F, T_R, TIME, U_LATENT, regular
+from vehicle_sbi.physics.sensors import MEASUREMENTS, MOTION, measure, report, unreported
+from vehicle_sbi.physics.single_track import (
+    DELTA,
+    SPEED,
+    T_F,
+    T_R,
+    TIME,
+    U_LATENT,
+    U_OMEGA_F,
+    U_OMEGA_R,
+    U_V_X,
+    U_V_X_DOT,
+    WHEEL_SPEED,
+    regular,
+)
 from vehicle_sbi.physics.vehicle import GRAVITY
 
 MODELS: Mapping[str, ModuleType] = {"single_track": single_track, "full_vehicle": full_vehicle}
@@ -118,6 +131,17 @@ def actuate(p, u, input_noise, rate: float, out) -> None:
 
 
 @compiled
+def measured_speeds(p, drive: int, group: int, u, rate: float, out) -> None:
+    """The speeds that drive the model before their group of sensors reported them; u, out (time, 9)."""
+    if drive == SPEED:
+        unreported(p, u[:, U_V_X], group, rate, out[:, U_V_X])
+        unreported(p, u[:, U_V_X_DOT], group, rate, out[:, U_V_X_DOT])
+    elif drive == WHEEL_SPEED:
+        unreported(p, u[:, U_OMEGA_F], group, rate, out[:, U_OMEGA_F])
+        unreported(p, u[:, U_OMEGA_R], group, rate, out[:, U_OMEGA_R])
+
+
+@compiled
 def fail(y) -> None:
     """Fill y (channels, time) with NaN."""
     for i in range(y.shape[0]):
@@ -127,11 +151,24 @@ def fail(y) -> None:
 
 @compiled_apart
 def simulate(
-    model, p, drive: int, u, stiffness_noise, input_noise, rate: float, substeps: int, initial, channels, groups, y
+    model,
+    p,
+    drive: int,
+    speed_group: int,
+    u,
+    stiffness_noise,
+    input_noise,
+    rate: float,
+    substeps: int,
+    initial,
+    channels,
+    groups,
+    y,
 ):
     """One simulation over all windows: fill y (channels, windows * time), NaN if it fails; returns its outcome.
 
-    u (windows, time, 9), initial (windows, 3), channels and groups index MEASUREMENTS and GROUPS.
+    u (windows, time, 9), initial (windows, 3), channels and groups index MEASUREMENTS and GROUPS, `speed_group` is the
+    group of the speeds that drive the model.
     """
     windows, time = u.shape[0], u.shape[1]
     motion, reading = np.empty((time, len(MOTION))), np.empty((len(MEASUREMENTS), time))
@@ -139,6 +176,7 @@ def simulate(
     derive(p)
     for w in range(windows):
         actuate(p, u[w], input_noise, rate, acting)
+        measured_speeds(p, drive, speed_group, u[w], rate, acting)
         outcome = drive_through(model, p, drive, acting, stiffness_noise, 1.0 / rate, substeps, initial[w], motion)
         if outcome != FINISHED:
             fail(y)
@@ -156,19 +194,32 @@ def simulate(
 @cache
 def batch_simulator(model: str) -> Callable[..., None]:
     """Simulations of one of MODELS in parallel, compiled when first called: a function of records (n,), the drive mode,
-    u (windows, time, 9), stiffness_noise (n, draws, 4), input_noise (n, draws, 2), rate [Hz], substeps,
-    initial (n, windows, 3), channels, groups, that fills y (n, channels, windows * time) and outcomes (n,)."""
+    the group of its speeds, u (windows, time, 9), stiffness_noise (n, draws, 4), input_noise (n, draws, 2), rate [Hz],
+    substeps, initial (n, windows, 3), channels, groups, that fills y (n, channels, windows * time), outcomes (n,)."""
     equations = MODELS[model]
 
     @njit(cache=True, error_model="numpy", parallel=True)
     def simulate_batch(
-        records, drive, u, stiffness_noise, input_noise, rate, substeps, initial, channels, groups, y, outcomes
+        records,
+        drive,
+        speed_group,
+        u,
+        stiffness_noise,
+        input_noise,
+        rate,
+        substeps,
+        initial,
+        channels,
+        groups,
+        y,
+        outcomes,
     ):
         for i in prange(len(records)):
             outcomes[i] = simulate(
                 equations,
                 records[i],
                 drive,
+                speed_group,
                 u,
                 stiffness_noise[i],
                 input_noise[i],
