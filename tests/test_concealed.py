@@ -186,10 +186,11 @@ def test_a_reader_of_half_a_catalogue_effect_leaves_the_recorded_command_alone()
 
 def test_simpler_methods_see_what_is_large_and_only_that() -> None:
     world, drive = OwnModel(car=CAR, model="single_track", drive_mode="speed", gain=1.0), plan(amplitude=0.02)
-    rng, heard = np.random.default_rng(0), {}
+    heard = {}
     for size in (0.0, 0.02, 2.0):  # of a gyro's bias: none, five standard deviations of a sample, and beyond all prior
         series = outside.drive(world, drive, {"gyro_bias": {"z": size}})
         assert series is not None
+        rng = np.random.default_rng(0)
         noise = {name: rng.normal(0.0, std, len(drive.t)) for name, std in NOISE.std.items()}
         heard[size] = baselines.said(GIVEN.simulator([setups.recording("a", drive, series, GIVEN, noise)]))
     assert heard[0.02]["bic"][0] == heard[0.02]["lasso"][0] == heard[0.02]["correlation"][0] == "gyro_bias"

@@ -12,6 +12,7 @@ from vehicle_sbi.mismatch.examine import Model, examine, versions
 from vehicle_sbi.mismatch.explain import exchanged, explain, extended
 from vehicle_sbi.mismatch.explanation import LAPSE, Explanation
 from vehicle_sbi.mismatch.fit import Observation
+from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.mismatch.verdict import estimates, places
 
 
@@ -43,11 +44,11 @@ def test_a_set_is_tried_again_without_each_of_its_effects() -> None:
     """What was put in first may have stood for what came later: here it is one too many."""
     base = Model((), fitted(recorded(lateral(), gyro_bias__z=-0.02)), 0.0)
     known = [d for d in left_out(base.fit.simulator, base.fit.theta) if d.effect in ("body_roll", "gyro_bias")]
-    rng = np.random.default_rng(0)
-    first = {version.effect: version for version in versions(examine(base, known, rng))}
+    repertoire, rng = Repertoire.around(base.fit, known), np.random.default_rng(0)
+    first = {version.effect: version for version in versions(examine(base, repertoire, rng))}
     (one_too_many,) = [m for m in [extended(base, first["body_roll"])] if m is not None]
     (both,) = [m for m in [extended(one_too_many, first["gyro_bias"])] if m is not None]
-    found = {model.effects: model for model in exchanged(both, known, rng)}
+    found = {model.effects: model for model in exchanged(both, repertoire, rng)}
     assert {("body_roll",), ("gyro_bias",)} <= found.keys()
     belief = Belief()
     assert found["gyro_bias",].weight(belief) > both.weight(belief) > found["body_roll",].weight(belief)

@@ -11,6 +11,7 @@ from vehicle_sbi.mismatch.examine import Model, examine, versions
 from vehicle_sbi.mismatch.experiment import advice, separations
 from vehicle_sbi.mismatch.explain import extended
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
+from vehicle_sbi.mismatch.repertoire import Repertoire
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +20,7 @@ def models() -> dict[str, Model]:
     base = Model((), fitted(recorded(lateral(), body_roll__gradient=0.012)), 0.0)
     tried = ("body_roll", "accelerometer_scale", "gust")
     known = [d for d in left_out(base.fit.simulator, base.fit.theta) if d.effect in tried]
-    found = versions(examine(base, known, np.random.default_rng(0)))
+    found = versions(examine(base, Repertoire.around(base.fit, known), np.random.default_rng(0)))
     grown = {version.effect: extended(base, version) for version in found}
     return {"base": base} | {name: model for name, model in grown.items() if model is not None}
 

@@ -80,20 +80,25 @@ def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None)
         "wrong_name": best[1] > max(missing) if kind == "outside" else None,
         "said_unknown": top[0] == UNKNOWN if kind == "outside" else None,
     }
-    return row | _place(truth, verdict) | _sizes(truth, verdict, best[0]) | _base(truth, verdict) | {
+    return row | _place(truth, verdict, top[0]) | _sizes(truth, verdict, best[0]) | _base(truth, verdict) | {
         "removed": _removed(verdict, oracle)
     }  # fmt: skip
 
 
-def _place(truth: Json, verdict: Json) -> dict[str, Any]:
-    """Overlap of the true span with the stated one (the named effect's, else the places of the misfit), and onset."""
+def _place(truth: Json, verdict: Json, answer: Answer) -> dict[str, Any]:
+    """Overlap of the true span with the stated one, and the onset's error.
+
+    That is the span of what the answer names, if it says when it acts, else where in time the misfit is.
+    """
     spans = [e["span"] for e in truth["effects"].values() if e["span"]]
     if not spans:
         return {"iou": None, "onset_error": None}
     start, stop = spans[0]
-    said = [(m["from_s"], m["to_s"]) for m in verdict["mismatch"] if m.get("p_value", 0.0) < 0.05]
-    for name, value in (verdict["explanations"][0]["parameters"] if verdict["explanations"] else {}).items():
-        lasts = verdict["explanations"][0]["parameters"].get(name.replace(".start", ".duration"))
+    places = [m for m in verdict["mismatch"] if m.get("p_value", 0.0) < 0.05 and not m.get("regime")]
+    said = [(m["from_s"], m["to_s"]) for m in places]
+    stated = next((e["parameters"] for e in verdict["explanations"] if set(e["effects"]) == answer), {})
+    for name, value in stated.items():
+        lasts = stated.get(name.replace(".start", ".duration"))
         if name.endswith(".start") and lasts:
             said = [(value["mean"], value["mean"] + lasts["mean"])]
     if not said:

@@ -112,18 +112,18 @@ class Version:
     score: float
 
 
-def examine(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Examined:
-    """Scores of all that a model leaves out: directions that are known to act, blocks and laws."""
-    free = Repertoire.around(model.fit, known)
+def examine(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Examined:
+    """Scores of all in a repertoire that a model leaves out."""
+    free = repertoire.beyond(model.fit)
     about = Linearised.of(model.fit)
     free = free.ruled_by(about.coherence(free.ruled, free.named).max(axis=1, initial=0.0) < ALIKE)
     scores = score(model.fit, free.changes, *free.of.bounds, rng=rng, together=_stretches(free.of))
     return Examined(model, free.of, scores, _joint(about, free, scores), _spans(about, free))
 
 
-def glance(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Examined:
+def glance(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Examined:
     """The same of directions alone and without a null: enough to say which effects promise most."""
-    free = Repertoire.of_effects(model.fit, known)
+    free = repertoire.beyond(model.fit).alone()
     scores = score(model.fit, free.changes, *free.of.bounds, rng=rng, draws=0)
     about = Linearised.of(model.fit)
     return Examined(model, free.of, scores, _joint(about, free, scores), _spans(about, free))
@@ -213,7 +213,7 @@ def _version(examined: Examined, effect: str, rows: Sequence[list[int]]) -> Vers
     best = int(np.argmax(singles))
     k = leading[best]
     starts = [_start(examined, [k], scores.size[[k]])]
-    if effect in examined.spans:
+    if examined.spans.get(effect, starts[0]) != starts[0]:
         starts.insert(0, examined.spans[effect])
     return Version(effect, starts, singles[best], float(np.abs(scores.z[k])))
 

@@ -1,7 +1,8 @@
 """What was left out: the search of sets of effects that could explain what the base model leaves over.
 
 From the base model on, the most promising effects by their first-order scores are put into the model and all its
-parameters are fitted again, under noise of its own. A model that still leaves something over is extended further.
+parameters are fitted again, under noise of its own. The best model is extended further, and the next one too where it
+still leaves something over.
 Beside each stand laws that no effect of the catalogue has, fitted alike. In the end each effect of the best set is
 taken out again, and exchanged for others.
 """
@@ -17,6 +18,7 @@ from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model, Version, examin
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Fit, descend, likeliest, with_own_noise
 from vehicle_sbi.mismatch.laws import under
+from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -25,7 +27,7 @@ LEAST_SHARE, SLACK = 0.65, 8.0  # of the best one's first-order evidence that th
 BEAM = 2  # models that are extended further
 LAWS_TRIED = 2  # that are fitted fully beside a model
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
-EXCHANGES = 3  # of effects of the best set, at most: each may show a better set
+EXCHANGES = 2  # of effects of the best set, at most: each may show a better set
 HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance to add one
 BELIEF = Belief()
 
@@ -43,10 +45,10 @@ def extended(model: Model, version: Version) -> Model | None:
         np.clip(np.concatenate([model.fit.theta, list(start.values())]), space.low, space.high)
         for start in version.starts
     ]
-    fits = [fit for point in points if (fit := likeliest(wider, point, STEPS)) is not None]
-    if not fits:
+    found = likeliest(wider, points, STEPS)
+    if found is None:
         return None
-    fit = with_own_noise(max(fits, key=lambda fit: fit.log_likelihood), NOISE_ROUNDS, STEPS)
+    fit = with_own_noise(found, NOISE_ROUNDS, STEPS)
     effects = tuple(sorted({*model.effects, version.effect}))  # another parameter of an effect is no further effect
     return Model(effects, fit, float(np.hypot(model.explained, version.score)))
 
@@ -95,7 +97,8 @@ def explain(
         return model.weight(belief)
 
     none = Model((), base, 0.0)
-    first = examine(none, known, rng)
+    repertoire = Repertoire.around(base, known)
+    first = examine(none, repertoire, rng)
     pool: dict[tuple[str, ...], Model] = {(): none}
     best = first
     frontier = [first] if first.p_value < LEVEL else []
@@ -112,14 +115,13 @@ def explain(
         leading = sorted(grown.values(), key=weight, reverse=True)[:BEAM]
         if not leading or weight(leading[0]) <= weight(best.model):
             break
-        best = examine(leading[0], known, rng)
-        if best.p_value > LEVEL:
-            break
-        frontier = [best, *(examine(model, known, rng) for model in leading[1:])]
+        best = examine(leading[0], repertoire, rng)
+        others = leading[1:] if best.p_value < LEVEL else []
+        frontier = [best, *(glance(model, repertoire, rng) for model in others)]
         unnamed += ruled(best)
         promising |= {version.effect for examined in frontier for version in versions(examined)[:TRIED]}
     unnamed.sort(key=weight, reverse=True)
-    likely = [direction for direction in known if direction.effect in promising]
+    likely = repertoire.only(promising)
     named: list[Model] = []
     for _ in range(EXCHANGES):
         for model in exchanged(best.model, likely, rng):
@@ -128,11 +130,11 @@ def explain(
         named = sorted((model for model in pool.values() if model.effects), key=weight, reverse=True)
         if not named or weight(named[0]) <= weight(best.model):
             break
-        best = examine(named[0], known, rng)
+        best = examine(named[0], repertoire, rng)
     return Explanation(named, unnamed, first, best, belief).in_order()
 
 
-def exchanged(model: Model, known: Sequence[Direction], rng: np.random.Generator) -> Iterator[Model]:
+def exchanged(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Iterator[Model]:
     """A set of several effects without each of them, and with others that promise as much in its place.
 
     The search has grown the set one by one, and so has not seen what could stand in for those that came first; nor what
@@ -141,7 +143,7 @@ def exchanged(model: Model, known: Sequence[Direction], rng: np.random.Generator
     for effect in model.effects if len(model.effects) > 1 else ():
         if (rest := without(model, effect)) is not None:
             yield rest
-            yield from _grow(glance(rest, known, rng))
+            yield from _grow(glance(rest, repertoire, rng))
 
 
 def _grow(examined: Examined) -> Iterator[Model]:

@@ -29,8 +29,8 @@ SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tr
 MOST_STEPS = 15
 CONVERGED = 0.01  # decrease of half the sum of squares, which is log likelihood, at which a fit ends
 MOST_DEAD_TIMES = 100  # that are tried of one
-REACHES_S = (2.0, 0.5, 0.125)  # [s] within which the beginning and the end of something are moved, in turn
-FINENESS = 6  # steps of them to either side
+REACHES_S = (1.5, 0.3)  # [s] within which the beginning and the end of something are moved, in turn
+FINENESS = 5  # steps of them to either side
 NOISE_ROUNDS = 4  # of fit and noise at most
 MEMORY_S = 0.5  # [s], the correlation time of noise at most: what is slower is physics, or a sensor that drifts
 STATES = ("v_x", "v_y", "r")
@@ -242,16 +242,20 @@ def descend(observation: Observation, start: Float[np.ndarray, " d"], steps: int
     return onwards(fit, steps) if np.isfinite(fit.at.y).all() else None
 
 
-def likeliest(observation: Observation, start: Float[np.ndarray, " d"], steps: int = MOST_STEPS) -> Fit | None:
-    """The optimum that Gauss-Newton finds from `start`, or from there at other times, if that is likelier.
+def likeliest(
+    observation: Observation, starts: Sequence[Float[np.ndarray, " d"]], steps: int = MOST_STEPS
+) -> Fit | None:
+    """The best optimum that Gauss-Newton finds from some starts, or from there at other times, if that is likelier.
 
     A series that is linear between samples has a kink in its derivative by a dead time at every whole sample, and a
     rough one (acceleration from a measured speed) an optimum near each. Something that begins and ends has one near
     each place in the recording that it may begin or end at.
     """
-    fit = descend(observation, start, steps)
-    names = observation.simulator.space.names
-    for k, name in enumerate(names if fit is not None else ()):
+    found = [fit for start in starts if (fit := descend(observation, start, steps)) is not None]
+    if not found:
+        return None
+    fit, names = max(found, key=lambda fit: fit.log_likelihood), observation.simulator.space.names
+    for k, name in enumerate(names):
         lasts = name.replace(".start", ".duration")
         if name in DEAD_TIMES:
             fit = _likelier(fit, elsewhere(fit, k), steps)
@@ -336,7 +340,7 @@ def best(observation: Observation, starts: Float[np.ndarray, "n d"]) -> Fit:
     simulator = observation.simulator
     white = simulator.with_noise(replace(simulator.noise, rho=np.zeros_like(simulator.noise.rho)))
     first = observation.extended(white if observation.estimated else simulator)
-    fits = [fit for start in starts if (fit := likeliest(first, start)) is not None]
-    if not fits:
+    fit = likeliest(first, [*starts])
+    if fit is None:
         raise InputError("the simulation fails wherever a fit was tried; narrow the prior")
-    return with_own_noise(max(fits, key=lambda fit: fit.log_likelihood))
+    return with_own_noise(fit)

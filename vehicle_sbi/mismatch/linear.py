@@ -103,8 +103,11 @@ class Linearised:
 
     def squares(self, series: Float[np.ndarray, "k channels time"]) -> Float[np.ndarray, "3 channels k"]:
         """Products of each series with itself."""
-        each = [self.products(one[None], one[None])[..., 0, 0] for one in series]
-        return np.stack(each, axis=-1) if each else np.zeros((3, series.shape[1], 0))
+        out = np.empty((3, series.shape[1], len(series)), series.dtype)
+        for c, now in enumerate(self.pairs):
+            a, before = series[:, c, now], series[:, c, now - 1]
+            out[:, c] = [np.einsum("kt,kt->k", x, y) for x, y in ((a, a), (before, before), (a, before))]
+        return out
 
     def drawn(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n channels time"]:
         """Noise and initial states under the fit, zero where nothing was measured."""
@@ -138,17 +141,20 @@ class Quadratic:
 
     @classmethod
     def of(cls, about: Linearised, changes: Float[np.ndarray, "k q channels time"]) -> "Quadratic":
-        """For everything that the fit can move, m in number, and q directions in each of k models."""
+        """For everything that the fit can move, m in number, then what can come back from the rim, and q directions in
+        each of k models."""
         k, q, channels, time = changes.shape
-        m, changes = len(about.J), np.nan_to_num(changes)
-        flat = changes.reshape(k * q, channels, time)
+        J, changes = np.concatenate([about.J, about.back]), np.nan_to_num(changes)
+        m, flat = len(J), changes.reshape(k * q, channels, time)
         H, b = np.empty((3, channels, k, m + q, m + q)), np.empty((3, channels, k, m + q))
-        H[..., :m, :m] = about.products(about.J, about.J)[:, :, None]
-        H[..., :m, m:] = about.products(about.J, flat).reshape(3, channels, m, k, q).transpose(0, 1, 3, 2, 4)
+        H[..., :m, :m] = about.products(J, J)[:, :, None]
+        H[..., :m, m:] = about.products(J, flat).reshape(3, channels, m, k, q).transpose(0, 1, 3, 2, 4)
         H[..., m:, :m] = np.swapaxes(H[..., :m, m:], -1, -2)
-        for row, g in enumerate(changes):
+        if q == 1:
+            H[..., m, m] = about.squares(flat)
+        for row, g in enumerate(changes if q > 1 else ()):
             H[:, :, row, m:, m:] = about.products(g, g)
-        b[..., :m] = about.products(about.J, about.residual)[:, :, None, :, 0]
+        b[..., :m] = about.products(J, about.residual)[:, :, None, :, 0]
         b[..., m:] = about.products(flat, about.residual).reshape(3, channels, k, q)
         return cls(H, b, about.squares(about.residual), about.count, about.largest_rho)
 
@@ -188,8 +194,7 @@ def profile(
 ) -> Profiled:
     """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best."""
     k, q, m, p = *changes.shape[:2], len(about.J), len(about.back)
-    beside = np.broadcast_to(about.back, (k, *about.back.shape))
-    quadratic = Quadratic.of(about, np.concatenate([beside, changes], axis=1))
+    quadratic = Quadratic.of(about, changes)
     prior = np.diag(np.repeat([1.0, 0.0], [m, p + q]))
     low, high = (
         np.concatenate([np.full((k, p), rim), np.broadcast_to(end, (k, q))], axis=1)
@@ -230,7 +235,7 @@ def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m:
     """Solutions of A x = g whose last entries lie within their bounds, the others at their best given those.
 
     Solved in units in which A has a diagonal of ones: sizes may be of any order, and what steadies one must not hold
-    another. Entries that go beyond a bound are held there, and the rest is solved again.
+    another. The entry that goes farthest beyond a bound is held there and the rest solved again, until none does.
     """
     k, n = g.shape
     unit = np.maximum(np.diagonal(A, axis1=1, axis2=2), LEAST_VARIANCE) ** -0.5
@@ -240,9 +245,9 @@ def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m:
     low, high = bounds / unit
     x = np.linalg.solve(A, g[..., None])[..., 0]
     held = np.zeros(x.shape, dtype=bool)
-    while (beyond := ((x < low) | (x > high)) & ~held).any():
-        held |= beyond
-        rows = beyond.any(axis=1)
+    while (beyond := np.where(held, 0.0, np.maximum(low - x, x - high))).max() > 0.0:
+        rows = np.flatnonzero(beyond.max(axis=1) > 0.0)
+        held[rows, beyond[rows].argmax(axis=1)] = True
         at = np.where(held, np.clip(x, low, high), g)[rows]
         x[rows] = np.linalg.solve(np.where(held[rows, :, None], np.eye(n), A[rows]), at[..., None])[..., 0]
     return np.clip(x, low, high) * unit

@@ -1,6 +1,8 @@
 """All that a model could have left out, and what a little of each does to the series: effects, blocks and laws.
 
-The changes are simulated at a model's fit; what is then put into the model is simulated in full.
+The changes are simulated at the base model's fit. Extended models are near enough to it for what they leave over to be
+scored by the same changes, but for those whose parameters act otherwise where they are: these get changes of their own.
+What is then put into a model is simulated in full.
 """
 
 from collections.abc import Sequence
@@ -10,10 +12,11 @@ from itertools import compress
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vehicle_sbi.mismatch.candidates import STEPS, Direction, shapes, slopes, tiles
+from vehicle_sbi.mismatch.candidates import STEPS, Direction, extent, shapes, slopes, tiles
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law, law_slopes, laws
 from vehicle_sbi.mismatch.locate import Block, blocks
+from vehicle_sbi.parameters import Parameter
 
 NONLINEAR = 0.3  # of the smaller change, by which those of two steps differ for both to be tried
 
@@ -47,8 +50,13 @@ class Inventory:
 
 @dataclass(frozen=True)
 class Repertoire:
-    """An inventory, and the change of the series per unit of each of its directions, blocks and laws."""
+    """An inventory, and the change of the series per unit of each of its directions, blocks and laws about a fit.
 
+    `known` are the directions that act there, of which those of the inventory are shapes and steps.
+    """
+
+    about: Fit
+    known: Sequence[Direction]
     of: Inventory
     named: Float[np.ndarray, "directions channels time"]
     bumps: Float[np.ndarray, "blocks channels time"]
@@ -58,49 +66,90 @@ class Repertoire:
     def around(cls, fit: Fit, known: Sequence[Direction]) -> "Repertoire":
         """At a fit, of the directions that are known to act, along none of the parameters that it has already."""
         simulator, theta, y = fit.simulator, fit.theta, fit.at.y
+        new = [d for d in known if not _fitted(fit, d)]
+        stepped = _stepped(fit, new)
         places, bumps = blocks(simulator, y)
         given = laws(simulator, theta, y)
         ruled = law_slopes(simulator, theta, y, given)
-        alone = cls.of_effects(fit, known)
-        return replace(alone, of=replace(alone.of, blocks=places, laws=given), bumps=bumps, ruled=ruled)
-
-    @classmethod
-    def of_effects(cls, fit: Fit, known: Sequence[Direction]) -> "Repertoire":
-        """The same without blocks and laws."""
-        fitted = set(fit.simulator.space.names)
-        new = [d for d in known if not fitted & {d.parameter.name, *(p.name for p in d.held)}]
-        stepped = [pair for direction in new for pair in _stepped(fit, shapes(fit.simulator, direction))]
-        named = np.array([change for _, change in stepped]).reshape(-1, *fit.at.y.shape)
-        return cls(Inventory([one for one, _ in stepped], [], []), named, named[:0], named[:0])
+        named = np.array([change for _, change in stepped]).reshape(-1, *y.shape)
+        return cls(fit, new, Inventory([d for d, _ in stepped], places, given), named, bumps, ruled)
 
     @property
     def changes(self) -> Float[np.ndarray, "k channels time"]:
         """Of directions, then blocks, then laws."""
         return np.concatenate([self.named, self.bumps, self.ruled])
 
+    def beyond(self, fit: Fit) -> "Repertoire":
+        """What a fit has not got; simulated anew where its parameters act otherwise than where this was."""
+        if _far(fit, self.about):
+            return Repertoire.around(fit, self.known)
+        return self._directed([not _fitted(fit, d) for d in self.of.directions])
+
+    def only(self, effects: set[str]) -> "Repertoire":
+        """Directions of some effects."""
+        kept = replace(self, known=[d for d in self.known if d.effect in effects])
+        return kept._directed([d.effect in effects for d in self.of.directions])
+
+    def _directed(self, kept: Sequence[bool]) -> "Repertoire":
+        left = replace(self.of, directions=list(compress(self.of.directions, kept)))
+        return replace(self, of=left, named=self.named[np.array(kept, dtype=bool)])
+
     def ruled_by(self, kept: Bool[np.ndarray, " n"]) -> "Repertoire":
         """With some of the laws alone."""
         return replace(self, of=replace(self.of, laws=list(compress(self.of.laws, kept))), ruled=self.ruled[kept])
 
+    def alone(self) -> "Repertoire":
+        """Directions without blocks and laws."""
+        return replace(self, of=replace(self.of, blocks=[], laws=[]), bumps=self.bumps[:0], ruled=self.ruled[:0])
 
-def _stepped(fit: Fit, found: Sequence[Direction]) -> list[tuple[Direction, Float[np.ndarray, "channels time"]]]:
-    """Directions with their changes, and again by larger steps where those do not change as much in proportion."""
-    kept = [*zip(found, _changes(fit, found), strict=True)]
-    last = kept
+
+def _fitted(fit: Fit, direction: Direction) -> bool:
+    """Whether a fit has any of a direction's parameters."""
+    return bool({direction.parameter.name, *(p.name for p in direction.held)} & set(fit.simulator.space.names))
+
+
+def _far(fit: Fit, other: Fit) -> bool:
+    """Whether what the parameters that two fits share do differs by more than a part of it."""
+    names = fit.simulator.space.names, other.simulator.space.names
+    shared = [name for name in names[0] if name in names[1]]
+    here, there = (one.at.J[[own.index(name) for name in shared]] for one, own in zip((fit, other), names, strict=True))
+    return _differ(other, here, there)
+
+
+def _stepped(fit: Fit, known: Sequence[Direction]) -> list[tuple[Direction, Float[np.ndarray, "channels time"]]]:
+    """Every shape of directions with its change, and again by larger steps where those do not change as much in
+    proportion; of which parameters that may be, what they do throughout the recordings says."""
+    latest = _changed(fit, [shape for d in known for shape in shapes(fit.simulator, d)])
+    kept, bent = [*latest], _bent(fit, known)
     for step in STEPS:
-        larger = [replace(d, step=step) for d, _ in last if d.step < step]
-        if larger:
-            before = [change for d, change in last if d.step < step]
-            pairs = zip(larger, _changes(fit, larger), strict=True)
-            last = [pair for pair, old in zip(pairs, before, strict=True) if _differ(fit, pair[1], old)]
-            kept += last
+        rows = [k for k, (d, _) in enumerate(latest) if d.step < step and d.parameter in bent]
+        larger = _changed(fit, [replace(latest[k][0], step=step) for k in rows])
+        for k, pair in zip(rows, larger, strict=True):
+            if _differ(fit, pair[1], latest[k][1]):
+                latest[k] = pair
+                kept.append(pair)
     return kept
 
 
-def _differ(fit: Fit, change: Float[np.ndarray, "channels time"], other: Float[np.ndarray, "channels time"]) -> bool:
+def _bent(fit: Fit, known: Sequence[Direction]) -> set[Parameter]:
+    """Parameters whose largest step does not change as much in proportion as their smallest."""
+    throughout = [d.during(0.0, extent(fit.simulator)) if d.clocked else d for d in known]
+    small = _changed(fit, throughout)
+    large = _changed(fit, [replace(d, step=STEPS[-1]) for d in throughout])
+    return {d.parameter for (d, a), (_, b) in zip(small, large, strict=True) if _differ(fit, a, b)}
+
+
+def _differ(
+    fit: Fit, change: Float[np.ndarray, "*k channels time"], other: Float[np.ndarray, "*k channels time"]
+) -> bool:
     """Whether two changes differ by more than a part of the smaller one, in units of the noise."""
     a, b, off = (float(np.linalg.norm(fit.metric(one))) for one in (change, other, change - other))
     return off > NONLINEAR * min(a, b)
+
+
+def _changed(fit: Fit, found: Sequence[Direction]) -> list[tuple[Direction, Float[np.ndarray, "channels time"]]]:
+    """Directions with their changes."""
+    return [*zip(found, _changes(fit, found), strict=True)] if found else []
 
 
 def _changes(fit: Fit, found: Sequence[Direction]) -> Float[np.ndarray, "k channels time"]:
