@@ -8,9 +8,10 @@ from recorded import TRUTH, fitted, lateral, recorded
 from scipy.stats import multivariate_normal
 
 from vehicle_sbi.inference.information import sensitivity
-from vehicle_sbi.mismatch.fit import Fit, Metric, Observation, best, linearise, with_own_noise
+from vehicle_sbi.mismatch.candidates import within
+from vehicle_sbi.mismatch.fit import Fit, Metric, Observation, best, likeliest, linearise, with_own_noise
 from vehicle_sbi.parameters import ParameterSpace
-from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
+from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.physics.single_track import INPUTS
 
 
@@ -112,3 +113,21 @@ def test_a_dead_time_is_found_from_afar(delay: float) -> None:
     wider = replace(sim, space=ParameterSpace((*sim.space.parameters, EFFECT_PARAMETERS["sensor_delay.imu"])))
     fit = fitted(recorded(sim, sensor_delay__imu=delay).extended(wider))
     assert fit.theta[-1] == pytest.approx(delay, abs=4 * np.sqrt(fit.covariance[-1, -1]))
+
+
+def test_what_begins_and_ends_is_found_from_a_second_away() -> None:
+    # A gust whose edges lie 1.1 s from where the fit starts, between the places that are tried. Within six standard
+    # deviations of what the noise leaves open.
+    truth = {"force": -900.0, "arm": 0.3, "start": 3.3, "duration": 2.8}
+    observation = recorded(lateral(), **{f"gust__{key}": value for key, value in truth.items()})
+    added = within(observation.simulator, CATALOGUE["gust"]).parameters
+    space = ParameterSpace((*observation.simulator.space.parameters, *added))
+    wider = observation.extended(replace(observation.simulator, space=space))
+    key = [p.name.split(".")[-1] for p in added]
+    start = truth | {"start": truth["start"] - 1.1, "duration": truth["duration"] + 2.2}
+    found = likeliest(wider, [np.concatenate([TRUTH, [start[k] for k in key]])])
+    assert found is not None
+    std = np.sqrt(np.diag(found.covariance))
+    expected = np.concatenate([TRUTH, [truth[k] for k in key]])
+    assert np.all(np.abs(found.theta - expected) < 6.0 * std)
+    assert std[len(TRUTH) + key.index("start")] < 0.1

@@ -112,6 +112,21 @@ def test_what_harms_elsewhere_is_doubted_and_makes_something_unknown_likelier(al
     assert told.p_unknown + told.p_none > alike.p_unknown + alike.p_none
 
 
+def test_what_even_the_best_leaves_over_elsewhere_counts_as_noise(alike: Explanation) -> None:
+    # A wave on the accelerometer that no model has, of three times the noise's standard deviation: likelihoods are
+    # taken under noise as large as that, so they differ by less, as the mean square of what is left over grows.
+    further = recorded(faster(lateral(), 2.0), seed=7, yaw_moment__moment=300.0)
+    std = further.simulator.noise.floor[0]
+    time = further.observed.shape[1]
+    wave = np.zeros_like(further.observed)
+    wave[0] = 3.0 * np.sqrt(2.0) * std * np.sin(2.0 * np.pi * np.arange(time) / 10.0)
+    loud = replace(further, observed=further.observed + np.where(further.simulator.windows.valid, wave, 0.0))
+    calm, spoilt = ({m.effects: m.told for m in alike.foretelling(one, apart=True).models} for one in (further, loud))
+    # Three channels of mean square 1 + 9, 1 and 1 have 4 together.
+    for effects, told in calm.items():
+        assert spoilt[effects] == pytest.approx(told / 4.0, rel=0.25)
+
+
 def test_halves_share_no_sample_and_lose_none() -> None:
     held = recorded(lateral())
     whole = held.simulator.windows.valid

@@ -7,6 +7,7 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
 from vehicle_sbi.mismatch.candidates import STEPS, directions, slopes
+from vehicle_sbi.mismatch.fit import linearise
 from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -31,3 +32,30 @@ def test_grip_that_is_not_used_up_is_a_direction_by_a_step_that_uses_it_up() -> 
     assert known.step > STEPS[0] == small[0].step
     assert known.parameter.low < known.away < known.parameter.high
     assert np.abs(slopes(sim, TRUTH, [known])).max() > 0.0
+
+
+def test_larger_steps_are_tried_where_they_do_not_change_as_much_in_proportion() -> None:
+    # A bias adds itself whatever its size; grip changes nothing until it is used up.
+    fit = replace(fitted(recorded(lateral())), theta=TRUTH)
+    known = [d for name in ("gyro_bias", "friction_level") for d in directions(fit.simulator, TRUTH, CATALOGUE[name])]
+    steps: dict[str, set[float]] = {}
+    for d in Repertoire.around(fit, known).of.directions:
+        steps.setdefault(d.effect, set()).add(d.step)
+    assert steps["gyro_bias"] == {STEPS[0]}
+    assert max(steps["friction_level"]) > min(steps["friction_level"])
+
+
+def test_changes_are_simulated_anew_where_parameters_act_otherwise() -> None:
+    # Twice the stiffness halves the slip angles: what parameters do there is not what they do here.
+    fit = fitted(recorded(lateral()))
+    known = directions(fit.simulator, fit.theta, CATALOGUE["steering_ratio"])
+    repertoire = Repertoire.around(fit, known)
+    near = repertoire.beyond(fit)
+    assert near.about is fit
+    assert near.named is not repertoire.named
+    assert np.array_equal(near.named, repertoire.named)
+    theta = fit.theta + np.array([0.0, 0.25, 0.25])
+    far = replace(fit, theta=theta, at=linearise(fit.simulator, theta))
+    again = repertoire.beyond(far)
+    assert again.about is far
+    assert np.array_equal(again.named, slopes(fit.simulator, theta, again.of.directions))
