@@ -256,6 +256,7 @@ def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
     assert row["iou"] == pytest.approx(1 / 3)  # 3 to 4 s of 2 to 5 s
     assert row["onset_error"] == pytest.approx(1.0)
     assert row["size_error"] == pytest.approx((0.1 + 0.5 + 0.0) / 3)
+    assert row["size_alone"] == pytest.approx(0.1)
     assert row["size_covered"] == pytest.approx(2 / 3)
     assert (row["bias_before"], row["bias_after"]) == (pytest.approx(2.0), pytest.approx(0.5))
     assert row["removed"] == pytest.approx(0.75)

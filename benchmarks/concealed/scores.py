@@ -20,6 +20,11 @@ from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 INTERVAL = 0.9
 NONE, UNKNOWN = frozenset(["none"]), frozenset(["unknown"])
 REDUCIBLE = 0.05  # of the oracle's error, that the base model's has to exceed it by to count as reducible
+SHAPES = frozenset(
+    name for name in EFFECT_PARAMETERS
+    if name.split(".")[1] in ("arm", "duration", "front_share", "lag", "start") or name == "payload.x"
+)  # fmt: skip
+"""Parameters that say where, when or how late an effect acts, and mean nothing without its size."""
 Answer = frozenset[str]
 Json = Mapping[str, Any]
 
@@ -113,20 +118,24 @@ def _place(truth: Json, verdict: Json, answer: Answer) -> dict[str, Any]:
 
 
 def _sizes(truth: Json, verdict: Json, best: Answer) -> dict[str, Any]:
-    """Relative error (of the distance from null) and 90 % coverage of the parameters of effects that are named."""
+    """Relative error (of the distance from null) and 90 % coverage of the parameters of effects that are named, the
+    former also without what only gives an effect its shape."""
     if not verdict["explanations"] or truth["kind"] not in ("single", "pair") or not right(truth) & best:
-        return {"size_error": None, "size_covered": None}
-    stated, errors, covered = verdict["explanations"][0]["parameters"], [], []
+        return {"size_error": None, "size_alone": None, "size_covered": None}
+    stated, errors, alone, covered = verdict["explanations"][0]["parameters"], [], [], []
     for effect, facts in truth["effects"].items():
         for key in facts["active"]:
             name = f"{effect}.{key}"
             value, null = facts["parameters"][key], EFFECT_PARAMETERS[name].null or 0.0
             if name in stated and value != null:
                 errors.append(abs(stated[name]["mean"] - value) / abs(value - null))
+                alone += [] if name in SHAPES else errors[-1:]
                 covered.append(stated[name]["q05"] <= value <= stated[name]["q95"])
-    if not errors:
-        return {"size_error": None, "size_covered": None}
-    return {"size_error": float(np.mean(errors)), "size_covered": float(np.mean(covered))}
+    return {
+        "size_error": float(np.mean(errors)) if errors else None,
+        "size_alone": float(np.mean(alone)) if alone else None,
+        "size_covered": float(np.mean(covered)) if covered else None,
+    }
 
 
 def _base(truth: Json, verdict: Json) -> dict[str, Any]:

@@ -108,6 +108,7 @@ METRICS = (
     Metric("its onset's error [s]", _kind("single", "outside", detected=True), "onset_error", "0.1"),
     Metric("effect's parameters, relative error", _kind("single", detected=True), "size_error", "0.10"),
     Metric("their median", _kind("single", detected=True), "size_error", "0.10", np.median),
+    Metric("the same without arms, lags and times", _kind("single", detected=True), "size_alone"),
     Metric("effect's parameters, coverage of 90 %", _kind("single", detected=True), "size_covered", "0.85 to 0.95"),
     Metric("base parameters' bias before [std]", _kind("single", "pair", detected=True), "bias_before"),
     Metric("base parameters' bias after [std]", _kind("single", "pair", detected=True), "bias_after", "0.8"),
