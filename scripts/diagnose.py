@@ -15,12 +15,12 @@ from vehicle_sbi.report.diagnosis import diagnose, show
 
 @launch("diagnose")
 def main(cfg: DictConfig) -> None:
-    diagnosis = instantiate(named_recordings(cfg).diagnosis)
+    diagnosis, again = instantiate(named_recordings(cfg).diagnosis), instantiate(cfg.get("infer"))
     use_cores(cfg.engine.cores)
     case = diagnosis.prepare()
     with run_folder(cfg, inputs=case.inputs) as folder:
         if not folder.finished:
-            diagnose(folder, case, seed=cfg.seed, figures=cfg.figures)
+            diagnose(folder, case, again, seed=cfg.seed, figures=cfg.figures)
         show(folder)
 
 

@@ -67,6 +67,22 @@ def test_the_extended_model_is_a_configuration_of_run(run: Path) -> None:
     assert {"l_f", *extended["effects"]} <= set(extended["prior"])
 
 
+@pytest.mark.slow
+def test_the_extended_model_is_inferred_where_that_is_asked_for(run: Path, files: Path) -> None:
+    folder = files / "inferred"
+    status, _, err = diagnose(
+        f"recordings=[{files}/a.csv]", f"heldout=[{files}/b.csv]", *BASE, f"hydra.run.dir={folder}",
+        "figures=false", "infer=npe_c", "infer.rounds.rounds=2", "infer.rounds.simulations=2000",
+    )  # fmt: skip
+    assert status == 0, err
+    fitted, inferred = (json.loads((one / "verdict.json").read_text())["explanations"][0] for one in (run, folder))
+    assert inferred["effects"] == fitted["effects"]
+    for name, before in fitted["parameters"].items():
+        after = inferred["parameters"][name]
+        assert after != before
+        assert after["mean"] == pytest.approx(before["mean"], abs=before["std"])
+
+
 def test_a_diagnosis_that_was_interrupted_goes_on(run: Path, tmp_path: Path) -> None:
     # As after a kill in the last stage: everything before stands, and the answer is the same.
     folder = tmp_path / "run"

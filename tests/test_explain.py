@@ -35,7 +35,7 @@ def test_a_known_effect_is_named_with_its_size() -> None:
     held = {effects for model in found.indistinguishable() for effects in [model]}
     assert any("body_roll" in effects for effects in held)
     (model,) = [m for m in found.models if m.effects == ("body_roll",)]
-    gradient = estimates(model.fit)["body_roll.gradient"]
+    gradient = estimates(model)["body_roll.gradient"]
     assert abs(gradient.mean - 0.012) < 4 * gradient.std
     assert sum(found.probability) + found.p_none + found.p_unknown == pytest.approx(1.0)
 
@@ -74,6 +74,6 @@ def test_what_comes_and_goes_is_found_between_the_spans_that_were_tried() -> Non
         recorded(lateral(), gust__force=-900.0, gust__arm=0.3, gust__start=2.3, gust__duration=3.9, gyro_bias__z=-0.02)
     )
     assert found.models[0].effects == ("gust", "gyro_bias")
-    size = estimates(found.models[0].fit)
+    size = estimates(found.models[0])
     for name, value in (("start", 2.3), ("duration", 3.9)):
         assert size[f"gust.{name}"].mean == pytest.approx(value, abs=max(4 * size[f"gust.{name}"].std, 0.02))

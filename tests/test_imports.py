@@ -17,7 +17,7 @@ inference.features inference.estimator inference.training inference.proposal inf
 inference.study inference.calibration
 mismatch.belief mismatch.candidates mismatch.separability mismatch.fit mismatch.gate mismatch.case mismatch.locate
 mismatch.laws mismatch.linear mismatch.detect mismatch.latent mismatch.repertoire mismatch.examine mismatch.foretell
-mismatch.explanation mismatch.explain mismatch.experiment mismatch.improve mismatch.verdict
+mismatch.explanation mismatch.explain mismatch.reinfer mismatch.experiment mismatch.improve mismatch.verdict
 report.run_folder report.tables report.density report.figures report.mismatch_figures report.catalogue report.page
 report.results report.diagnosis
 report.observability report.autoware

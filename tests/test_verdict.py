@@ -1,6 +1,31 @@
-"""What a verdict says in effects' names: which of them stand for each other."""
+"""What a verdict says: which effects stand for each other, and estimates of a fit or of an inferred posterior."""
 
-from vehicle_sbi.mismatch.verdict import exchangeable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded import fitted, lateral, recorded
+
+from vehicle_sbi.inference.estimator import NeuralSplineFlow
+from vehicle_sbi.inference.features import Score
+from vehicle_sbi.inference.rounds import Truncated
+from vehicle_sbi.inference.training import Training
+from vehicle_sbi.mismatch.candidates import left_out
+from vehicle_sbi.mismatch.examine import Model
+from vehicle_sbi.mismatch.explain import explain
+from vehicle_sbi.mismatch.reinfer import Reinference
+from vehicle_sbi.mismatch.verdict import estimates, exchangeable
+
+AGAIN = Reinference(
+    features=Score(),
+    estimator=NeuralSplineFlow(model="nsf", hidden_features=50, num_transforms=3, num_bins=8),
+    rounds=Truncated(rounds=2, simulations=2000, last=2, early=0.4),
+    training=Training(
+        batch_size=200, learning_rate=3e-3, steps=800, stop_after_epochs=15, max_epochs=120,
+        validation_fraction=0.1, clip_max_norm=5.0, atoms=10, discard_prior_samples=False, members=1,
+    ),
+    samples=4000,
+)  # fmt: skip
 
 
 def test_single_effects_that_fit_equally_well_are_one_group() -> None:
@@ -19,3 +44,41 @@ def test_in_sets_what_is_exchanged_makes_the_groups() -> None:
 def test_one_answer_and_unlike_answers_make_no_group() -> None:
     assert exchangeable([("roll",)]) == []
     assert exchangeable([("drag",), ("roll", "lag")]) == []
+
+
+def test_estimates_are_those_of_the_posterior_where_a_model_was_inferred() -> None:
+    fit = fitted(recorded(lateral()))
+    names, normal = fit.simulator.space.names, estimates(Model((), fit, 0.0))
+    draws = np.random.default_rng(0).exponential(size=(2000, len(names)))
+    inferred = estimates(Model((), fit, 0.0, posterior=draws))
+    assert inferred.keys() == normal.keys()
+    for k, name in enumerate(names):
+        e = inferred[name]
+        assert (e.mean, e.std) == (pytest.approx(draws[:, k].mean()), pytest.approx(draws[:, k].std()))
+        assert np.mean(draws[:, k] < e.q05) == pytest.approx(0.05, abs=1e-3)
+        assert np.mean(draws[:, k] < e.q95) == pytest.approx(0.95, abs=1e-3)
+        assert e.unit == normal[name].unit
+
+
+@pytest.mark.slow
+def test_where_a_fit_is_normal_the_inferred_posterior_is_that_of_the_fit(tmp_path: Path) -> None:
+    # Two rounds of 2000 simulations: means within a third of a standard deviation, spreads within a quarter of it,
+    # which is what the estimators of run.py reach beside exact posteriors.
+    observation = recorded(lateral(), body_roll__gradient=0.012)
+    base = fitted(observation)
+    known = [d for d in left_out(base.simulator, base.theta) if d.effect == "body_roll"]
+    found = explain(base, known, rng=np.random.default_rng(0))
+    inferred = AGAIN.of(found, tmp_path)
+    assert inferred.models[0].effects == found.models[0].effects == ("body_roll",)
+    after, before = estimates(inferred.models[0]), estimates(found.models[0])
+    gradient = "body_roll.gradient"
+    assert after[gradient].mean == pytest.approx(before[gradient].mean, abs=before[gradient].std / 3)
+    assert after[gradient].std == pytest.approx(before[gradient].std, rel=0.25)
+
+
+def test_nothing_is_inferred_where_nothing_is_missing(tmp_path: Path) -> None:
+    base = fitted(recorded(lateral()))
+    found = explain(base, [], rng=np.random.default_rng(0))
+    assert not found.detected
+    assert AGAIN.of(found, tmp_path) is found
+    assert not any(tmp_path.iterdir())

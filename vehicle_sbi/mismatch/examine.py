@@ -33,7 +33,8 @@ class Model:
     """The base model with a set of effects, fitted; `explained` is the score of all of them together.
 
     `law` is what it has beside them that the catalogue does not, `choice` the number of laws that it was chosen from;
-    `told` how much likelier it makes recordings that it was not fitted to than the base model does (log likelihood).
+    `told` how much likelier it makes recordings that it was not fitted to than the base model does (log likelihood),
+    `posterior` draws of its parameters where they were inferred.
     """
 
     effects: tuple[str, ...]
@@ -42,6 +43,7 @@ class Model:
     law: Law | None = None
     choice: int = 1
     told: float = 0.0
+    posterior: Float[np.ndarray, "n d"] | None = None
 
     @property
     def log_evidence(self) -> float:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy.stats import truncnorm
 
 from vehicle_sbi.mismatch.case import Case
@@ -41,7 +42,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter's posterior, normal within its box."""
+    """A parameter's posterior."""
 
     mean: float
     std: float
@@ -134,15 +135,23 @@ class Verdict:
         return asdict(self)
 
 
-def estimates(fit: Fit) -> dict[str, Estimate]:
-    """Posterior of every free parameter of a fit."""
-    space, std = fit.simulator.space, np.sqrt(np.diag(fit.covariance))
-    found = {}
+def estimates(model: Model) -> dict[str, Estimate]:
+    """Posterior of every free parameter of a model: as it was inferred, else normal about the fit within its box."""
+    fit, space = model.fit, model.fit.simulator.space
+    if model.posterior is not None:
+        return {p.name: _drawn(draws, p.unit) for p, draws in zip(space.parameters, model.posterior.T, strict=True)}
+    std, found = np.sqrt(np.diag(fit.covariance)), {}
     for p, mean, s in zip(space.parameters, fit.theta, std, strict=True):
         box = truncnorm((p.low - mean) / s, (p.high - mean) / s, loc=mean, scale=s)
         low, high = box.ppf([0.05, 0.95])
         found[p.name] = Estimate(float(box.mean()), float(box.std()), float(low), float(high), p.unit)
     return found
+
+
+def _drawn(draws: Float[np.ndarray, " n"], unit: str) -> Estimate:
+    """A parameter's posterior from draws."""
+    low, high = np.quantile(draws, [0.05, 0.95])
+    return Estimate(float(draws.mean()), float(draws.std()), float(low), float(high), unit)
 
 
 def places(explanation: Explanation) -> list[Place]:
@@ -158,7 +167,7 @@ def places(explanation: Explanation) -> list[Place]:
 
 def _named(explanation: Explanation, k: int) -> Named:
     model = explanation.models[k]
-    own = {name: value for name, value in estimates(model.fit).items() if name.split(".")[0] in model.effects}
+    own = {name: value for name, value in estimates(model).items() if name.split(".")[0] in model.effects}
     beside = explanation.beside_unknown.get(model.effects, 0.0)
     foretold = None if explanation.p_told is None else model.told
     return Named(model.effects, explanation.probability[k], beside, own, foretold)
@@ -174,7 +183,7 @@ def verdict(
 ) -> Verdict:
     """Everything that the diagnosis found, put into the answer's form."""
     model = chosen(explanation)
-    before, after = estimates(explanation.base.model.fit), estimates(model.fit)
+    before, after = estimates(explanation.base.model), estimates(model)
     together = explanation.indistinguishable() if explanation.detected else []
     unknown = _unknown(explanation) if explanation.p_unknown > SPOKEN_OF else None
     fit: dict[str, object] = {"heldout": list(case.held_out_names)}
@@ -210,7 +219,7 @@ def _unknown(explanation: Explanation) -> Unknown:
     laws = []
     for model, probability in explanation.laws[:LISTED]:
         assert model.law is not None
-        size = estimates(model.fit)[model.law.target.size.name]
+        size = estimates(model)[model.law.target.size.name]
         laws.append(Followed(model.law.target.name, model.law.signal, size, model.effects, probability))
     return Unknown(next(iter(explanation.beside_unknown)), laws, what_it_takes(explanation.best.model.fit))
 
@@ -317,7 +326,7 @@ def _answer(explanation: Explanation) -> list[str]:
             f"remains in {left.channel} {_when(left.regime, left.from_s, left.to_s)}"
         )
     meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
-    own = {k: v for k, v in estimates(best.fit).items() if k.split(".")[0] in best.effects}
+    own = {k: v for k, v in estimates(best).items() if k.split(".")[0] in best.effects}
     sizes = "; ".join(size for name in best.effects for size in _sizes(name, own))
     return [f"{named}: {meaning} ({sizes})."]
 

@@ -3,7 +3,7 @@
 import json
 import pickle
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -31,19 +31,28 @@ STAGES = {
     "directions": "what could be missing",
     "separability": "what could be seen",
     "explanation": "what is missing",
+    "posterior": "inferring it",
 }
 SCREENED, STARTS = 32, 3  # points that are simulated, and of those the ones from which the base model is fitted
 Result = TypeVar("Result")
 
+if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
+    from vehicle_sbi.mismatch.reinfer import Reinference
 
-def diagnose(folder: RunFolder, case: Case, *, seed: int, figures: bool) -> None:
-    """All stages, each kept on disk once it is done, then everything that is written for the user."""
+
+def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, *, seed: int, figures: bool) -> None:
+    """All stages, each kept on disk once it is done, then everything that is written for the user; `again` says how the
+    extended model is to be inferred, if it is."""
     starts, draws = (generator(seed=seed, stream=Stream.STUDY, index=k) for k in (2, 3))  # a stage has its own
-    with tqdm(total=len(STAGES), bar_format="{desc:<24}|{bar:20}| {elapsed}{postfix}", disable=None) as bar:
+    stages = len(STAGES) - (again is None)
+    with tqdm(total=stages, bar_format="{desc:<24}|{bar:20}| {elapsed}{postfix}", disable=None) as bar:
         base, passed = _kept(folder, "fit", lambda: through(fitted(case, starts), starts), bar)
         known = _kept(folder, "directions", lambda: left_out(base.simulator, base.theta), bar)
         seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta, known), bar)
         found = _kept(folder, "explanation", lambda: explained(case, base, known, draws, bar.set_postfix_str), bar)
+        if again is not None:
+            rounds, searched = folder.path / "rounds", found
+            found = _kept(folder, "posterior", lambda: again.of(searched, rounds), bar)
     with folder.stage("report"):
         predictions, gained = proved(case, found)
         answer = verdict(case, passed, found, predictions, gained, seen)
