@@ -10,12 +10,12 @@ is how likely the recording is with a little of direction k (its size a within b
 over. A parameter on the rim of its box, where what is missing may have pushed it, can come back in beside a direction.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from vehicle_sbi.data.noise import largest_rho
 from vehicle_sbi.mismatch.fit import MEMORY_S, Fit
@@ -31,7 +31,7 @@ Products = Float[np.ndarray, "3 channels i j"]
 @dataclass(frozen=True)
 class Linearised:
     """A fit at first order: residual, what parameters and then initial states do (m, channels, time), how many of the
-    latter there are, and the neighbouring valid samples of each channel.
+    latter there are, and the runs of neighbouring valid samples of each channel, as what follows each of their first.
 
     `back` is what parameters do that lie on the rim, per standard deviation of the prior into the box.
     """
@@ -41,7 +41,7 @@ class Linearised:
     back: Float[np.ndarray, "p channels time"]
     states: int
     residual: Float[np.ndarray, "1 channels time"]
-    pairs: Sequence[np.ndarray]
+    runs: Sequence[Sequence[slice]]
 
     @classmethod
     def of(cls, fit: Fit) -> "Linearised":
@@ -52,17 +52,17 @@ class Linearised:
             states[w, ..., span] = fit.at.J_x[..., span]
         states = states.reshape(-1, *fit.at.y.shape)
         same = np.arange(1, windows.valid.shape[1]) % length > 0
-        pairs = [1 + np.flatnonzero(valid[1:] & valid[:-1] & same) for valid in windows.valid]
+        runs = [_runs(valid[1:] & valid[:-1] & same) for valid in windows.valid]
         J = np.concatenate([fit.at.J[fit.inside], states])
         space = fit.simulator.space
         inwards = np.where(fit.theta < 0.5 * (space.low + space.high), 1.0, -1.0)
         back = (inwards[:, None, None] * fit.at.J)[~fit.inside]
-        return cls(fit, np.nan_to_num(J), np.nan_to_num(back), len(states), fit.residual[None], pairs)
+        return cls(fit, np.nan_to_num(J), np.nan_to_num(back), len(states), fit.residual[None], runs)
 
     @property
     def count(self) -> Float[np.ndarray, " channels"]:
         """Neighbouring valid samples of each channel."""
-        return np.array([float(max(len(pair), 1)) for pair in self.pairs])
+        return np.array([float(max(sum(run.stop - run.start for run in runs), 1)) for runs in self.runs])
 
     @property
     def largest_rho(self) -> float:
@@ -71,11 +71,19 @@ class Linearised:
 
     def products(self, x: Float[np.ndarray, "i channels time"], y: Float[np.ndarray, "j channels time"]) -> Products:
         """Sums over neighbouring samples of x y now, x y a sample earlier, and across (symmetric)."""
-        out = np.empty((3, x.shape[1], len(x), len(y)), np.result_type(x, y))
-        for c, now in enumerate(self.pairs):
-            a, b, before_a, before_b = x[:, c, now], y[:, c, now], x[:, c, now - 1], y[:, c, now - 1]
-            out[:, c] = a @ b.T, before_a @ before_b.T, 0.5 * (a @ before_b.T + before_a @ b.T)
+        out = np.zeros((3, x.shape[1], len(x), len(y)), np.result_type(x, y))
+        for c, now, before in self._neighbours():
+            a, b, before_a, before_b = x[:, c, now], y[:, c, now], x[:, c, before], y[:, c, before]
+            out[0, c] += a @ b.T
+            out[1, c] += before_a @ before_b.T
+            out[2, c] += 0.5 * (a @ before_b.T + before_a @ b.T)
         return out
+
+    def _neighbours(self) -> Iterator[tuple[int, slice, slice]]:
+        """Channels, samples and those before them, run by run."""
+        for c, runs in enumerate(self.runs):
+            for run in runs:
+                yield c, run, slice(run.start - 1, run.stop - 1)
 
     @cached_property
     def _weight(self) -> Float[np.ndarray, "3 channels"]:
@@ -103,10 +111,10 @@ class Linearised:
 
     def squares(self, series: Float[np.ndarray, "k channels time"]) -> Float[np.ndarray, "3 channels k"]:
         """Products of each series with itself."""
-        out = np.empty((3, series.shape[1], len(series)), series.dtype)
-        for c, now in enumerate(self.pairs):
-            a, before = series[:, c, now], series[:, c, now - 1]
-            out[:, c] = [np.einsum("kt,kt->k", x, y) for x, y in ((a, a), (before, before), (a, before))]
+        out = np.zeros((3, series.shape[1], len(series)), series.dtype)
+        for c, now, before in self._neighbours():
+            a, b = series[:, c, now], series[:, c, before]
+            out[:, c] += [np.einsum("kt,kt->k", x, y) for x, y in ((a, a), (b, b), (a, b))]
         return out
 
     def drawn(self, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n channels time"]:
@@ -115,6 +123,12 @@ class Linearised:
         e = np.stack([noise.sample(shape, rng) for _ in range(n)]) * self.fit.metric.std
         e += np.tensordot(rng.standard_normal((n, self.states)), self.J[len(self.J) - self.states :], axes=1)
         return np.where(self.fit.simulator.windows.valid, e, 0.0)
+
+
+def _runs(paired: Bool[np.ndarray, " time"]) -> list[slice]:
+    """Where neighbours follow each other without a gap, `paired` saying of each sample whether it and the next are."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], paired.astype(int), [0]])))
+    return [slice(1 + start, 1 + stop) for start, stop in edges.reshape(-1, 2).tolist()]
 
 
 @dataclass(frozen=True)
