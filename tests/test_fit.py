@@ -119,7 +119,10 @@ def test_what_begins_and_ends_is_found_from_a_second_away() -> None:
     # A gust whose edges lie 1.1 s from where the fit starts, between the places that are tried. Within six standard
     # deviations of what the noise leaves open.
     truth = {"force": -900.0, "arm": 0.3, "start": 3.3, "duration": 2.8}
-    observation = recorded(lateral(), **{f"gust__{key}": value for key, value in truth.items()})
+    observation = recorded(
+        lateral(), gust__force=truth["force"], gust__arm=truth["arm"], gust__start=truth["start"],
+        gust__duration=truth["duration"],
+    )  # fmt: skip
     added = within(observation.simulator, CATALOGUE["gust"]).parameters
     space = ParameterSpace((*observation.simulator.space.parameters, *added))
     wider = observation.extended(replace(observation.simulator, space=space))
