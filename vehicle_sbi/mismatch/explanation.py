@@ -52,7 +52,9 @@ class Explanation:
         if base is None or not self.detected:
             return self
         models = [*self.models, *self.unnamed, self.best.model]
-        found = [foretold(model, further, apart=apart) for model in models]
+        once = {id(model): model for model in models}  # the best one is among the others
+        each = {key: foretold(model, further, apart=apart) for key, model in once.items()}
+        found = [each[id(model)] for model in models]
         noise = max(1.0, min(one.left for one in (base, *found) if one is not None))
         told = [
             replace(model, told=FAILED if one is None else (one.log_likelihood - base.log_likelihood) / noise)
