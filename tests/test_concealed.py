@@ -181,6 +181,18 @@ def test_a_reader_of_half_a_catalogue_effect_leaves_the_recorded_command_alone()
     assert not np.array_equal(series["yaw_rate"], quiet["yaw_rate"])
 
 
+def test_a_zero_that_walks_goes_elsewhere_in_each_recording_and_grows_with_its_rate() -> None:
+    world = OwnModel(car=CAR, model="single_track", drive_mode="speed", gain=1.0)
+    walks = []
+    for drive, rate in ((plan(), 0.01), (plan(), 0.02), (replace(plan(), v_0=21.0), 0.01)):
+        quiet, walked = (outside.drive(world, drive, e) for e in ({}, {"drifting_gyro": {"rate": rate, "draw": 5.0}}))
+        assert quiet is not None
+        assert walked is not None
+        walks.append(walked["yaw_rate"] - quiet["yaw_rate"])
+    assert np.allclose(walks[1], 2.0 * walks[0], rtol=1e-9, atol=1e-12)
+    assert not np.allclose(walks[2], walks[0])
+
+
 # --- baselines ------------------------------------------------------------------------------------------------------
 
 

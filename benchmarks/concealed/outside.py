@@ -6,6 +6,7 @@ Each has a strength that is scaled to reach a signal-to-noise ratio, up to `larg
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from zlib import crc32
 
 import numpy as np
 
@@ -44,8 +45,8 @@ OUTSIDE: Mapping[str, Outside] = {
         meaning="a_y compresses with its cube", kind="sensor", strength="cubic", largest=0.1, signed=True
     ),
     "drifting_gyro": Outside(
-        meaning="the yaw-rate sensor's zero walks at random", kind="sensor", strength="rate", largest=0.1,
-        shape={"draw": (0.0, 1e6)},
+        meaning="the yaw-rate sensor's zero walks at random, anew in each recording", kind="sensor",
+        strength="rate", largest=0.1, shape={"draw": (0.0, 1e6)},
     ),
     "cross_talk": Outside(
         meaning="yaw acceleration leaks into the yaw-rate channel's neighbour a_y, one sign only", kind="sensor",
@@ -76,7 +77,7 @@ def drive(world: World, plan: Plan, effects: Effects) -> Series | None:
     """A world's series with catalogue effects and those outside it; recorded commands stay the plan's."""
     inside = {name: values for name, values in effects.items() if name in CATALOGUE or OUTSIDE[name].kind == "twin"}
     series = world.drive(replace(plan, steering=_commanded(plan, effects)), inside)
-    return None if series is None else _sensed(series | {"steering": plan.steering}, plan.t, effects)
+    return None if series is None else _sensed(series | {"steering": plan.steering}, plan, effects)
 
 
 def _commanded(plan: Plan, effects: Effects) -> np.ndarray:
@@ -91,7 +92,7 @@ def _commanded(plan: Plan, effects: Effects) -> np.ndarray:
     return delta
 
 
-def _sensed(series: Series, t: np.ndarray, effects: Effects) -> Series:
+def _sensed(series: Series, plan: Plan, effects: Effects) -> Series:
     out = dict(series)
     if "saturating_gyro" in effects:
         limit = (1.0 - effects["saturating_gyro"]["clipped"]) * abs(out["yaw_rate"]).max()
@@ -103,8 +104,13 @@ def _sensed(series: Series, t: np.ndarray, effects: Effects) -> Series:
         out["a_y"] = out["a_y"] - effects["cubic_accelerometer"]["cubic"] * out["a_y"] ** 3
     if "drifting_gyro" in effects:
         drift = effects["drifting_gyro"]
-        walk = np.random.default_rng(int(drift["draw"])).standard_normal(len(t)) * np.sqrt(t[1] - t[0])
-        out["yaw_rate"] = out["yaw_rate"] + drift["rate"] * np.cumsum(walk)
+        out["yaw_rate"] = out["yaw_rate"] + drift["rate"] * _walk(plan, int(drift["draw"]))
     if "cross_talk" in effects:
         out["a_y"] = out["a_y"] + effects["cross_talk"]["leak"] * np.abs(out["yaw_rate"])
     return out
+
+
+def _walk(plan: Plan, draw: int) -> np.ndarray:
+    """A random walk of variance t, another one in each recording of a draw."""
+    recording = crc32(f"{plan.manoeuvre} {plan.v_0} {len(plan.t)}".encode())
+    return np.random.default_rng((draw, recording)).standard_normal(len(plan.t)).cumsum() / np.sqrt(plan.rate)
