@@ -67,7 +67,7 @@ def test_the_size_of_a_bias_comes_out_as_it_went_in() -> None:
     low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
     s = score(fit, slopes(fit.simulator, fit.theta, found), low, high, rng=np.random.default_rng(0), draws=200)
     assert s.size[0] == pytest.approx(0.2, abs=4 / np.sqrt(s.information[0]))
-    assert s.p_value() == pytest.approx(1 / 201)
+    assert s.p_value() <= 2 / 201  # of two statistics, each of which has a largest in drawn noise
 
 
 @pytest.mark.parametrize("unit", [1e-7, 1e6])

@@ -20,6 +20,7 @@ from scipy.stats import rankdata
 
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.linear import ITERATIONS, LEAST_VARIANCE, Linearised, Products, Quadratic, ar1, kinds, profile
+from vehicle_sbi.mismatch.staircase import Staircase, Staircases
 
 DRAWS = 500  # of noise, behind a p-value
 CHUNK = 100  # of them at once
@@ -27,8 +28,8 @@ CHUNK = 100  # of them at once
 
 @dataclass(frozen=True)
 class Group:
-    """Directions that are also tested together: the log likelihood that all of them gain, at sizes of their own, in
-    the recording and in drawn noise."""
+    """What is also tested: the log likelihood that several directions gain together, at sizes of their own, or the best
+    of many steps of a channel, in the recording and in drawn noise."""
 
     gain: float
     null: Float[np.ndarray, " draws"]
@@ -107,13 +108,14 @@ def score(
     together: Sequence[Sequence[int]] = (),
 ) -> Scores:
     """Scores of `changes` (per unit of a size that the prior bounds between low and high) at a fit, and of those rows
-    of them that are also tested `together`, at any size."""
+    of them that are also tested `together`, at any size; with a null also whether a channel reads in steps."""
     about = Linearised.of(fit)
     none = profile(about, changes[None, :0], np.zeros((1, 0)), np.zeros((1, 0)))
     each = profile(about, changes[:, None], low[:, None], high[:, None])
     gain = np.maximum(each.log_likelihood - none.log_likelihood, 0.0)
     information = np.maximum(each.information[:, 0, 0], 1e-12)
     groups = [Together.of(about, changes[[*rows]]) for rows in together]
+    groups = [*groups, Staircases(Staircase.of_each(about))] if draws else groups
     observed = about.absorbed(about.residual)
     gained_here = [float(group.gains(observed)[0]) for group in groups]
     null, gained_there = np.zeros((0, len(changes))), np.zeros((0, len(groups)))
@@ -124,7 +126,11 @@ def score(
 
 
 def _drawn(
-    about: Linearised, singles: "Singles", groups: Sequence["Together"], draws: int, rng: np.random.Generator
+    about: Linearised,
+    singles: "Singles",
+    groups: Sequence["Together | Staircases"],
+    draws: int,
+    rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "draws k"], Float[np.ndarray, "draws groups"]]:
     """Scores of drawn noise, and what each group gains in it."""
     scored, gains = [], []

@@ -19,11 +19,13 @@ from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law
 from vehicle_sbi.mismatch.linear import Linearised, profile
 from vehicle_sbi.mismatch.locate import Block
+from vehicle_sbi.mismatch.loose import Loose
 from vehicle_sbi.mismatch.repertoire import Inventory, Repertoire
 from vehicle_sbi.parameters import Parameter
 
 LEVEL = 0.05  # of the test whether anything is missing
 ALIKE = 0.98  # coherence with a direction of the catalogue from which a law says nothing new
+NEAR = 8.0  # of evidence, within which another shape is worth a fit of its own
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
 TOLD = 0.3  # power of the likelihood of what a model foretells, which whatever else is missing spoils
 
@@ -32,9 +34,9 @@ TOLD = 0.3  # power of the likelihood of what a model foretells, which whatever 
 class Model:
     """The base model with a set of effects, fitted; `explained` is the score of all of them together.
 
-    `law` is what it has beside them that the catalogue does not, `choice` the number of laws that it was chosen from;
-    `told` how much likelier it makes recordings that it was not fitted to than the base model does (log likelihood),
-    `posterior` draws of its parameters where they were inferred.
+    `law` is what it has beside them that the catalogue does not, or `loose` what follows no law, `choice` the number of
+    those that it was chosen from; `told` how much likelier it makes recordings that it was not fitted to than the base
+    model does (log likelihood), `posterior` draws of its parameters where they were inferred.
     """
 
     effects: tuple[str, ...]
@@ -44,14 +46,15 @@ class Model:
     choice: int = 1
     told: float = 0.0
     posterior: Float[np.ndarray, "n d"] | None = None
+    loose: Loose | None = None
 
     @property
     def log_evidence(self) -> float:
-        return self.fit.log_evidence
+        return self.fit.log_evidence + (0.0 if self.loose is None else self.loose.gain)
 
     def weight(self, belief: Belief) -> float:
         """Log prior plus log evidence, that of what is foretold included."""
-        laws = None if self.law is None else self.choice
+        laws = None if self.law is None and self.loose is None else self.choice
         return belief.log_prior(len(self.effects), laws) + self.log_evidence + TOLD * self.told
 
 
@@ -70,14 +73,14 @@ class Examined:
     """A model with everything that it leaves out, and the scores of it all.
 
     Each channel's blocks of time are scored together too; `joint` are effects that have several directions, `spans`
-    where to start fitting those that come and go.
+    where to start fitting those that come and go, the likeliest first.
     """
 
     model: Model
     free: Inventory
     scores: Scores
     joint: dict[str, Joint]
-    spans: dict[str, dict[Parameter, float]]
+    spans: dict[str, list[dict[Parameter, float]]]
 
     @cached_property
     def p_value(self) -> float:
@@ -105,7 +108,8 @@ class Examined:
 class Version:
     """A way in which an effect may act: its parameters and where to start fitting them, with what speaks for it.
 
-    An effect that comes and goes has two: the likeliest of all spans of time, and the best of those that were scored.
+    It is fitted from each of its shapes (where a force attacks); if it comes and goes, from the likeliest of all spans
+    of time as well as from the best of those that were scored.
     """
 
     effect: str
@@ -165,10 +169,11 @@ def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joi
     return together
 
 
-def _spans(about: Linearised, free: Repertoire) -> dict[str, dict[Parameter, float]]:
-    """Effects that come and go, from when to when and how large they are likeliest to be, of all whole tiles."""
+def _spans(about: Linearised, free: Repertoire) -> dict[str, list[dict[Parameter, float]]]:
+    """Effects that come and go, from when to when and how large they are likeliest to be in each of their other shapes,
+    of all whole tiles; the likeliest shape first."""
     seconds = tile(about.fit.simulator)
-    found: dict[str, tuple[float, dict[Parameter, float]]] = {}
+    found: dict[str, list[tuple[float, dict[Parameter, float]]]] = {}
     for rows in _tiled(free.of.directions, seconds):
         first = free.of.directions[rows[0]]
         sums = np.concatenate([np.zeros_like(free.named[:1]), np.cumsum(free.named[rows], axis=0)])
@@ -178,11 +183,16 @@ def _spans(about: Linearised, free: Repertoire) -> dict[str, dict[Parameter, flo
         low, high = (np.full((len(spans), 1), end) for end in (first.low, first.high))
         tried = profile(about, changes[:, None], low, high)
         k = int(np.argmax(tried.log_likelihood))
-        if first.effect not in found or tried.log_likelihood[k] > found[first.effect][0]:
-            start, stop = spans[k]
-            span = first.during(start * seconds, (stop - start) * seconds)
-            found[first.effect] = float(tried.log_likelihood[k]), _sized([span], tried.size[k])
-    return {effect: start for effect, (_, start) in found.items()}
+        start, stop = spans[k]
+        span = first.during(start * seconds, (stop - start) * seconds)
+        found.setdefault(first.effect, []).append((float(tried.log_likelihood[k]), _sized([span], tried.size[k])))
+    return {effect: _likeliest(each) for effect, each in found.items()}
+
+
+def _likeliest(found: list[tuple[float, dict[Parameter, float]]]) -> list[dict[Parameter, float]]:
+    """Starts in the order of their likelihoods, as far as those come near the best."""
+    best = max(likelihood for likelihood, _ in found)
+    return [start for likelihood, start in sorted(found, key=lambda one: -one[0]) if likelihood > best - NEAR]
 
 
 def _tiled(found: Sequence[Direction], seconds: float) -> list[list[int]]:
@@ -214,10 +224,19 @@ def _version(examined: Examined, effect: str, rows: Sequence[list[int]]) -> Vers
         return Version(effect, [start], joint.log_evidence, np.sqrt(2 * joint.gain))
     best = int(np.argmax(singles))
     k = leading[best]
-    starts = [_start(examined, [k], scores.size[[k]])]
-    if examined.spans.get(effect, starts[0]) != starts[0]:
-        starts.insert(0, examined.spans[effect])
-    return Version(effect, starts, singles[best], float(np.abs(scores.z[k])))
+    scored = [_start(examined, [row], scores.size[[row]]) for row in _of_each_shape(examined, rows[best])]
+    spans = [start for start in examined.spans.get(effect, []) if start not in scored]
+    return Version(effect, [*spans, *scored], singles[best], float(np.abs(scores.z[k])))
+
+
+def _of_each_shape(examined: Examined, rows: Sequence[int]) -> list[int]:
+    """The row with the most evidence of each shape that a direction has, spans of time apart; of those that come near
+    the best."""
+    evidence, best = examined.scores.log_evidence, dict[tuple[float, ...], int]()
+    for k in sorted(rows, key=lambda k: -evidence[k]):
+        d = examined.free.directions[k]
+        best.setdefault(tuple(value for p, value in d.held.items() if p not in d.clocked.values()), k)
+    return [k for k in best.values() if evidence[k] > evidence[rows].max() - NEAR]
 
 
 def _start(examined: Examined, rows: list[int], sizes: Float[np.ndarray, " q"]) -> dict[Parameter, float]:

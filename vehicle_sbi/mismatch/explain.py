@@ -3,8 +3,8 @@
 From the base model on, the most promising effects by their first-order scores are put into the model and all its
 parameters are fitted again, under noise of its own. The best model is extended further, and the next one too where it
 still leaves something over.
-Beside each stand laws that no effect of the catalogue has, fitted alike. In the end each effect of the best set is
-taken out again, and exchanged for others.
+Beside each stand laws that no effect of the catalogue has, fitted alike, and what follows no law. In the end each
+effect of the best set is taken out again, and exchanged for others.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +18,7 @@ from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model, Version, examin
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Fit, descend, likeliest, with_own_noise
 from vehicle_sbi.mismatch.laws import under
+from vehicle_sbi.mismatch.loose import loose
 from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -68,6 +69,13 @@ def ruled(examined: Examined) -> Iterator[Model]:
             yield Model(model.effects, fit, model.explained, law, len(examined.free.laws))
 
 
+def beyond_laws(model: Model) -> Iterator[Model]:
+    """The model with something beside it that follows no law."""
+    for one in loose(model.fit):
+        if one.gain > HOPELESS:
+            yield replace(model, loose=one, choice=one.choice)
+
+
 def without(model: Model, effect: str) -> Model | None:
     """The model with one effect fewer, all other parameters fitted; None if it cannot be simulated."""
     simulator, theta = model.fit.simulator, model.fit.theta
@@ -102,7 +110,7 @@ def explain(
     pool: dict[tuple[str, ...], Model] = {(): none}
     best = first
     frontier = [first] if first.p_value < LEVEL else []
-    unnamed = [*ruled(first)] if frontier else []
+    unnamed = [*ruled(first), *beyond_laws(none)] if frontier else []
     promising = {version.effect for version in versions(first)[:TRIED]}
     for _ in range(belief.most):
         grown: dict[tuple[str, ...], Model] = {}
@@ -118,7 +126,7 @@ def explain(
         best = examine(leading[0], repertoire, rng)
         others = leading[1:] if best.p_value < LEVEL else []
         frontier = [best, *(glance(model, repertoire, rng) for model in others)]
-        unnamed += ruled(best)
+        unnamed += [*ruled(best), *beyond_laws(best.model)]
         promising |= {version.effect for examined in frontier for version in versions(examined)[:TRIED]}
     unnamed.sort(key=weight, reverse=True)
     likely = repertoire.only(promising)

@@ -100,7 +100,7 @@ class Explanation:
         does not harm it elsewhere; one that does is doubted.
         """
         models = (*self.models, *self.unnamed, self.base.model, self.best.model)
-        weights = self._temper * np.array([model.weight(self.belief) for model in models])
+        weights = self.temper * np.array([model.weight(self.belief) for model in models])
         weights[: len(self.models)] += np.log([BENEFIT if doubted(model) else 1.0 for model in self.models])
         weights[-1] += np.log(self.belief.unknown) + _surprise(self.best.p_adequate, SURPRISE)
         if self.p_told is not None:
@@ -110,7 +110,7 @@ class Explanation:
         return shares
 
     @property
-    def _temper(self) -> float:
+    def temper(self) -> float:
         """Power of the evidence: deviations as large as what is left over would have come out by chance."""
         return TEMPER / self.best.scores.excess
 
@@ -142,7 +142,7 @@ class Explanation:
         alike = [model for model in self.models if len(model.effects) == len(effects)]
         if not alike:
             return {effects: 1.0}
-        weight = self._temper * np.array([model.weight(self.belief) for model in alike])
+        weight = self.temper * np.array([model.weight(self.belief) for model in alike])
         parts = np.exp(weight - np.logaddexp.reduce(weight))
         return {model.effects: float(part) for model, part in zip(alike, parts, strict=True)}
 

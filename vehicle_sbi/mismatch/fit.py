@@ -203,8 +203,12 @@ class Fit:
     @property
     def covariance(self) -> Float[np.ndarray, "d d"]:
         """Of the parameters in their own units, under a normal prior as wide as the box."""
+        return self.tempered(1.0)
+
+    def tempered(self, power: float) -> Float[np.ndarray, "d d"]:
+        """The same covariance under the likelihood to a power."""
         spread = self.simulator.space.prior_std
-        return np.linalg.inv(self.information + np.eye(len(spread))) * np.outer(spread, spread)
+        return np.linalg.inv(power * self.information + np.eye(len(spread))) * np.outer(spread, spread)
 
     @property
     def log_evidence(self) -> float:

@@ -46,7 +46,10 @@ def foretold(model: Model, observation: Observation, *, apart: bool) -> Foretold
     there = elsewhere(model, observation, apart=apart)
     if not np.isfinite(there.at.y[there.simulator.windows.valid]).all():
         return None
-    J = there.metric(_in_std(model.fit, there.at.J)).reshape(len(there.theta), -1)
+    changes = _in_std(model.fit, there.at.J)
+    if model.loose is not None:
+        changes = np.concatenate([changes, model.loose.rows(there)])
+    J = there.metric(changes).reshape(len(changes), -1)
     r = there.metric(there.residual).reshape(-1)
     _, s, v = np.linalg.svd(J, full_matrices=False)
     q = v @ r

@@ -80,6 +80,7 @@ def signals(
     found |= {f"{name} cubed": x[name] ** 3 for name in ("steering", "yaw rate", "a_y", "a_x")}
     found |= {f"{name} squared": x[name] ** 2 for name in slow}
     found |= {f"{a} times {b}": x[a] * x[b] for a in ("steering", "yaw rate", "a_y") for b in ("speed", "a_x", "time")}
+    found["dynamic pressure"] = speed**2
     found["direction of steering"] = np.tanh(3.0 * x["steering rate"])
     return x | {name: scaled(name, value) for name, value in found.items()}
 

@@ -204,18 +204,26 @@ class Quadratic:
 
 
 def profile(
-    about: Linearised, changes: Float[np.ndarray, "k q channels time"], low: np.ndarray, high: np.ndarray
+    about: Linearised,
+    changes: Float[np.ndarray, "k q channels time"],
+    low: np.ndarray,
+    high: np.ndarray,
+    *,
+    precision: float = 0.0,
 ) -> Profiled:
-    """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best."""
+    """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best.
+
+    Sizes are as likely everywhere, or normal about zero with a `precision`.
+    """
     k, q, m, p = *changes.shape[:2], len(about.J), len(about.back)
     quadratic = Quadratic.of(about, changes)
-    prior = np.diag(np.repeat([1.0, 0.0], [m, p + q]))
+    prior = np.diag(np.repeat([1.0, 0.0, precision], [m, p, q]))
     low, high = (
         np.concatenate([np.full((k, p), rim), np.broadcast_to(end, (k, q))], axis=1)
         for rim, end in ((0.0, low), (WIDTH, high))
     )
     x = quadratic.solved(prior, low, high)
-    log_likelihood = quadratic.log_likelihood(x) - 0.5 * np.sum(x[:, :m] ** 2, axis=1)
+    log_likelihood = quadratic.log_likelihood(x) - 0.5 * x**2 @ np.diag(prior)
     A, _ = quadratic.weighted(x, prior)
     free = np.concatenate([np.ones((k, m)), x[:, m : m + p] > 0.0], axis=1)
     both = free[:, :, None] * free[:, None, :]
@@ -230,6 +238,14 @@ def gained(about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> 
     free = np.full((1, len(changes)), np.inf)
     none = profile(about, changes[None, :0], free[:, :0], free[:, :0]).log_likelihood[0]
     return max(float(profile(about, changes[None], -free, free).log_likelihood[0] - none), 0.0)
+
+
+def gained_at_random(about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> float:
+    """Log evidence that directions gain together whose sizes are independent and standard normal."""
+    free = np.full((1, len(changes)), np.inf)
+    none = profile(about, changes[None, :0], free[:, :0], free[:, :0]).log_likelihood[0]
+    found = profile(about, changes[None], -free, free, precision=1.0)
+    return float(found.log_likelihood[0] - none - 0.5 * np.linalg.slogdet(found.information[0])[1])
 
 
 def kinds(rho: np.ndarray) -> np.ndarray:

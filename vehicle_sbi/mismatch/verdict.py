@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import truncnorm
+from scipy.stats import norm, truncnorm
 
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.examine import Model
@@ -16,7 +16,9 @@ from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.gate import Gate
 from vehicle_sbi.mismatch.improve import Gain, Prediction
 from vehicle_sbi.mismatch.latent import Latent, what_it_takes
+from vehicle_sbi.mismatch.laws import Law
 from vehicle_sbi.mismatch.locate import merged
+from vehicle_sbi.mismatch.loose import Loose
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -135,12 +137,13 @@ class Verdict:
         return asdict(self)
 
 
-def estimates(model: Model) -> dict[str, Estimate]:
-    """Posterior of every free parameter of a model: as it was inferred, else normal about the fit within its box."""
+def estimates(model: Model, power: float = 1.0) -> dict[str, Estimate]:
+    """Posterior of every free parameter of a model: as it was drawn, else normal about the fit within its box, under
+    its likelihood to a power."""
     fit, space = model.fit, model.fit.simulator.space
     if model.posterior is not None:
         return {p.name: _drawn(draws, p.unit) for p, draws in zip(space.parameters, model.posterior.T, strict=True)}
-    std, found = np.sqrt(np.diag(fit.covariance)), {}
+    std, found = np.sqrt(np.diag(fit.tempered(power))), {}
     for p, mean, s in zip(space.parameters, fit.theta, std, strict=True):
         box = truncnorm((p.low - mean) / s, (p.high - mean) / s, loc=mean, scale=s)
         low, high = box.ppf([0.05, 0.95])
@@ -167,7 +170,11 @@ def places(explanation: Explanation) -> list[Place]:
 
 def _named(explanation: Explanation, k: int) -> Named:
     model = explanation.models[k]
-    own = {name: value for name, value in estimates(model).items() if name.split(".")[0] in model.effects}
+    own = {
+        name: value
+        for name, value in estimates(model, explanation.temper).items()
+        if name.split(".")[0] in model.effects
+    }
     beside = explanation.beside_unknown.get(model.effects, 0.0)
     foretold = None if explanation.p_told is None else model.told
     return Named(model.effects, explanation.probability[k], beside, own, foretold)
@@ -183,7 +190,7 @@ def verdict(
 ) -> Verdict:
     """Everything that the diagnosis found, put into the answer's form."""
     model = chosen(explanation)
-    before, after = estimates(explanation.base.model), estimates(model)
+    before, after = (estimates(one, explanation.temper) for one in (explanation.base.model, model))
     together = explanation.indistinguishable() if explanation.detected else []
     unknown = _unknown(explanation) if explanation.p_unknown > SPOKEN_OF else None
     fit: dict[str, object] = {"heldout": list(case.held_out_names)}
@@ -218,10 +225,19 @@ def _unknown(explanation: Explanation) -> Unknown:
     """Laws outside the catalogue that are at all likely, and what it takes beyond the best set of known effects."""
     laws = []
     for model, probability in explanation.laws[:LISTED]:
-        assert model.law is not None
-        size = estimates(model)[model.law.target.size.name]
-        laws.append(Followed(model.law.target.name, model.law.signal, size, model.effects, probability))
+        law, size = _of_law(model, explanation.temper)
+        laws.append(Followed(law.target.name, law.signal, size, model.effects, probability))
     return Unknown(next(iter(explanation.beside_unknown)), laws, what_it_takes(explanation.best.model.fit))
+
+
+def _of_law(model: Model, power: float) -> tuple[Law | Loose, Estimate]:
+    """What a model has that the catalogue does not, and its size."""
+    if model.law is not None:
+        return model.law, estimates(model, power)[model.law.target.size.name]
+    assert model.loose is not None
+    mean, std = model.loose.size, model.loose.std
+    low, high = norm.ppf([0.05, 0.95], mean, max(std, 1e-12))
+    return model.loose, Estimate(mean, std, max(float(low), 0.0), float(high), model.loose.target.size.unit)
 
 
 def exchangeable(together: Sequence[Sequence[str]]) -> list[list[str]]:
@@ -326,7 +342,7 @@ def _answer(explanation: Explanation) -> list[str]:
             f"remains in {left.channel} {_when(left.regime, left.from_s, left.to_s)}"
         )
     meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
-    own = {k: v for k, v in estimates(best).items() if k.split(".")[0] in best.effects}
+    own = {k: v for k, v in estimates(best, explanation.temper).items() if k.split(".")[0] in best.effects}
     sizes = "; ".join(size for name in best.effects for size in _sizes(name, own))
     return [f"{named}: {meaning} ({sizes})."]
 

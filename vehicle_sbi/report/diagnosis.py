@@ -18,6 +18,7 @@ from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Fit, best
 from vehicle_sbi.mismatch.gate import through
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
+from vehicle_sbi.mismatch.sampled import sized
 from vehicle_sbi.mismatch.separability import Card, card
 from vehicle_sbi.mismatch.verdict import Verdict, chosen, quantity, verdict
 from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
@@ -31,6 +32,7 @@ STAGES = {
     "directions": "what could be missing",
     "separability": "what could be seen",
     "explanation": "what is missing",
+    "sizes": "how large it is",
     "posterior": "inferring it",
 }
 SCREENED, STARTS = 32, 3  # points that are simulated, and of those the ones from which the base model is fitted
@@ -43,15 +45,19 @@ if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
 def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, *, seed: int, figures: bool) -> None:
     """All stages, each kept on disk once it is done, then everything that is written for the user; `again` says how the
     extended model is to be inferred, if it is."""
-    starts, draws = (generator(seed=seed, stream=Stream.STUDY, index=k) for k in (2, 3))  # a stage has its own
-    stages = len(STAGES) - (again is None)
+    starts, draws, sizes = (
+        generator(seed=seed, stream=Stream.STUDY, index=k) for k in (2, 3, 4)
+    )  # a stage has its own
+    stages = len(STAGES) - 1  # the last one is in place of the one before
     with tqdm(total=stages, bar_format="{desc:<24}|{bar:20}| {elapsed}{postfix}", disable=None) as bar:
         base, passed = _kept(folder, "fit", lambda: through(fitted(case, starts), starts), bar)
         known = _kept(folder, "directions", lambda: left_out(base.simulator, base.theta), bar)
         seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta, known), bar)
         found = _kept(folder, "explanation", lambda: explained(case, base, known, draws, bar.set_postfix_str), bar)
-        if again is not None:
-            rounds, searched = folder.path / "rounds", found
+        searched, rounds = found, folder.path / "rounds"
+        if again is None:
+            found = _kept(folder, "sizes", lambda: sized(searched, sizes), bar)
+        else:
             found = _kept(folder, "posterior", lambda: again.of(searched, rounds), bar)
     with folder.stage("report"):
         predictions, gained = proved(case, found)

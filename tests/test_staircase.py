@@ -1,0 +1,73 @@
+"""A sensor that reads in steps is found by them, however deep in the noise, and noise alone looks like none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import fitted, lateral, recorded
+from scipy.stats import kstest
+
+from vehicle_sbi.mismatch.fit import Observation
+from vehicle_sbi.mismatch.linear import Linearised
+from vehicle_sbi.mismatch.loose import loose
+from vehicle_sbi.mismatch.staircase import COARSEST, FINEST, PHASE, Staircase, Staircases, _steps, rounding
+
+YAW = 2  # channel
+
+
+def read_in_steps(step: float, *, seed: int = 0, rho: float = 0.0) -> Observation:
+    """A recording whose yaw rate is rounded before the noise comes."""
+    sim = lateral(rho=rho)
+    quiet, noisy = recorded(sim.with_noise(replace(sim.noise, floor=1e-9 * sim.noise.floor))), recorded(sim, seed=seed)
+    y = noisy.observed.copy()
+    y[YAW] += rounding(quiet.observed[YAW], step)
+    return replace(noisy, observed=y)
+
+
+@pytest.mark.parametrize(("times", "rho"), [(1.5, 0.0), (3.0, 0.0), (3.0, 0.6)])
+def test_steps_as_large_as_the_noise_are_found_with_their_size(times: float, rho: float) -> None:
+    # The step to within a tenth of it at the ends of the range (the grid is twice as fine), the error's size, which is
+    # 1, to within four standard deviations, which are that over its score, and what the grid's phase loses of it.
+    sim = lateral(rho=rho)
+    step = times * float(sim.noise.floor[YAW])
+    about = Linearised.of(fitted(read_in_steps(step, rho=rho)))
+    one = next(one for one in Staircase.of_each(about) if one.channel == YAW)
+    found, size, score = one.likeliest()
+    assert score > 5.0
+    assert abs(1.0 / found - 1.0 / step) * np.abs(one.said).max() < 2.0 * PHASE
+    assert size == pytest.approx(1.0, abs=4.0 * size / score + 4.0 * PHASE)
+
+
+def test_noise_alone_is_scored_as_noise_is() -> None:
+    # The rank of a recording's largest gain among those of drawn noise is uniform under the model; 1/200 is the
+    # resolution of the ranks, and Kolmogorov's bound is at 0.1 %.
+    ranks = []
+    for seed in range(25):
+        about = Linearised.of(fitted(recorded(lateral(), seed=seed)))
+        tested = Staircases(Staircase.of_each(about))
+        here = tested.gains(about.absorbed(about.residual))[0]
+        drawn = tested.gains(about.absorbed(about.drawn(199, np.random.default_rng(seed))))
+        ranks.append((1 + np.sum(drawn >= here)) / 200)
+    assert kstest(ranks, "uniform").pvalue > 1e-3
+
+
+def test_one_of_the_steps_stays_in_phase_with_any() -> None:
+    said, std = np.linspace(12.0, 19.0, 300), 0.2
+    steps = _steps(said, std)
+    assert steps[0] == pytest.approx(COARSEST * 7.0)
+    assert steps[-1] >= FINEST * std
+    for true in np.geomspace(1.01 * steps[-1], 0.99 * steps[0], 50):
+        assert np.abs(said.max() * (1.0 / steps - 1.0 / true)).min() <= PHASE * (1.0 + 1e-9)
+
+
+def test_a_channel_with_a_range_of_no_more_than_noise_has_no_steps() -> None:
+    assert _steps(np.linspace(-1.0, 1.0, 100), 1.0).size == 0
+    assert np.array_equal(Staircases([]).gains(np.zeros((3, 1, 5))), np.zeros(3))
+
+
+def test_of_everything_loose_a_sensor_in_steps_gains_most_by_its_own() -> None:
+    step = 3.0 * float(lateral().noise.floor[YAW])
+    best = max(loose(fitted(read_in_steps(step))), key=lambda one: one.gain)
+    assert best.target.name == "error of the sensor of yaw_rate"
+    assert best.signal.startswith("its own reading, in steps of")
+    assert best.size == pytest.approx(step / np.sqrt(12.0), abs=4.0 * best.std)

@@ -1,0 +1,135 @@
+"""What follows no signal of the drive: a load or an error that takes a course of its own, a sensor that reads in steps.
+
+Both stand for something unknown beside the laws. They are not fitted but weighed: what they do to the series has sizes
+that are normal about zero, so that their evidence and what they foretell are those of a normal with a wider covariance.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+from scipy.fft import dct
+
+from vehicle_sbi.mismatch.fit import Fit
+from vehicle_sbi.mismatch.laws import Law, Target, law_slopes, targets
+from vehicle_sbi.mismatch.linear import Linearised, gained_at_random
+from vehicle_sbi.mismatch.locate import bump, clock, stretches
+from vehicle_sbi.mismatch.staircase import Staircase, predicted, rounding
+from vehicle_sbi.physics.sensors import MEASUREMENTS
+
+SIZES = np.geomspace(0.01, 1.0, 7)  # of a course of its own, in units of the largest size of a law
+
+
+class Loose(Protocol):
+    """Something unknown that is no law: what is off, what it follows, its `size` as a root mean square, how uncertain
+    that is, and the log evidence that it gains beside a fit, of so many `choice` that were weighed."""
+
+    @property
+    def target(self) -> Target: ...
+    @property
+    def signal(self) -> str: ...
+    @property
+    def size(self) -> float: ...
+    @property
+    def std(self) -> float: ...
+    @property
+    def gain(self) -> float: ...
+    @property
+    def choice(self) -> int: ...
+
+    def rows(self, fit: Fit) -> Float[np.ndarray, "q channels time"]:
+        """What it does to the series of a fit, as changes whose sizes are standard normal."""
+        ...
+
+
+@dataclass(frozen=True)
+class Course:
+    """A target that is off by another size in each stretch of time, about none."""
+
+    target: Target
+    size: float
+    std: float
+    gain: float
+    choice: int
+    signal: str = "a course of its own"
+
+    def rows(self, fit: Fit) -> Float[np.ndarray, "q channels time"]:
+        """Stretches of the fit's own recordings."""
+        return self.size * deviations(fit, [self.target])[0]
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A sensor that rounds to steps."""
+
+    target: Target
+    channel: int
+    step: float
+    std: float
+    gain: float
+    choice: int
+
+    @property
+    def size(self) -> float:
+        """Of its error, which is uniform within a step."""
+        return self.step / 12.0**0.5
+
+    @property
+    def signal(self) -> str:
+        return f"its own reading, in steps of {self.step:.2g} {self.target.size.unit}"
+
+    def rows(self, fit: Fit) -> Float[np.ndarray, "1 channels time"]:
+        """Its error where the fit says what it read."""
+        return in_steps(fit, self.channel, self.step)
+
+
+def loose(fit: Fit) -> Iterator[Loose]:
+    """Every target on a course of its own, and every channel in steps."""
+    about = Linearised.of(fit)
+    yield from courses(about)
+    yield from staircases(about)
+
+
+def courses(about: Linearised) -> Iterator[Course]:
+    """Every target, its size averaged over and at the likeliest of those that are tried."""
+    fit = about.fit
+    acting = [target for target in targets(fit.simulator, fit.at.y) if target.size.high > 0.0]
+    for target, rows in zip(acting, deviations(fit, acting), strict=True):
+        size = SIZES * target.size.high
+        evidence = np.array([gained_at_random(about, s * rows) for s in size])
+        gain = float(np.logaddexp.reduce(evidence) - np.log(len(size)))
+        weight = np.exp(evidence - np.logaddexp.reduce(evidence))
+        mean = float(weight @ size)
+        yield Course(target, mean, float(np.sqrt(weight @ (size - mean) ** 2)), gain, len(acting))
+
+
+def deviations(fit: Fit, acting: list[Target]) -> Float[np.ndarray, "targets q channels time"]:
+    """What targets do to the series that are off in single stretches of time, about their mean."""
+    simulator, t = fit.simulator, clock(fit.simulator)
+    bumps = [bump(t, *span).reshape(simulator.windows.t.shape) for span in stretches(simulator)]
+    given = [Law(target, f"stretch {k}", course) for target in acting for k, course in enumerate(bumps)]
+    slopes = law_slopes(simulator, fit.theta, fit.at.y, given).reshape(len(acting), len(bumps), *fit.at.y.shape)
+    contrasts = dct(np.eye(len(bumps)), norm="ortho", axis=0)[1:]
+    return np.moveaxis(np.tensordot(contrasts, slopes, axes=(1, 1)), 0, 1)
+
+
+def staircases(about: Linearised) -> Iterator[Steps]:
+    """Every channel in its likeliest steps."""
+    fit, each = about.fit, Staircase.of_each(about)
+    choice = sum(len(one.steps) for one in each)
+    sensors = {target.row: target for target in targets(fit.simulator, fit.at.y)}
+    for one in each:
+        step, size, score = one.likeliest()
+        target = sensors[MEASUREMENTS.index(fit.simulator.windows.channels[one.channel])]
+        std = step / 12.0**0.5 * size / max(score, 1.0)
+        gain = gained_at_random(about, in_steps(fit, one.channel, step))
+        yield Steps(target, one.channel, step, std, gain, choice)
+
+
+def in_steps(fit: Fit, channel: int, step: float) -> Float[np.ndarray, "1 channels time"]:
+    """The error of a channel that rounds to steps."""
+    error = np.zeros((1, *fit.at.y.shape))
+    error[0, channel] = rounding(predicted(fit)[channel], step)
+    return error
