@@ -13,7 +13,7 @@ from vehicle_sbi.mismatch.sampled import _step, sampled
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 
-GUST = {"gust__force": -900.0, "gust__arm": 0.5, "gust__start": 2.3, "gust__duration": 3.9}
+GUST = {"gust.force": -900.0, "gust.arm": 0.5, "gust.start": 2.3, "gust.duration": 3.9}
 
 
 def model(observation: Observation, effect: str, start: list[float]) -> Model:
@@ -39,18 +39,17 @@ def test_of_a_linear_effect_draws_are_normal_about_the_fit(power: float) -> None
 
 
 def test_a_force_and_its_place_are_found_from_a_fit_of_the_other_sign() -> None:
-    names = [p.name for p in CATALOGUE["gust"].parameters]
-    truth = {name: GUST[name.replace(".", "__")] for name in names}
-    wrong = truth | {"gust.force": 300.0, "gust.arm": -0.9, "gust.start": 1.5}
-    stuck = model(recorded(lateral(), **GUST), "gust", [wrong[name] for name in names])
-    right = model(recorded(lateral(), **GUST), "gust", [truth[name] for name in names])
+    gusty = recorded(lateral(), gust__force=-900.0, gust__arm=0.5, gust__start=2.3, gust__duration=3.9)
+    wrong = GUST | {"gust.force": 300.0, "gust.arm": -0.9, "gust.start": 1.5}
+    stuck, right = (model(gusty, "gust", [at[p.name] for p in CATALOGUE["gust"].parameters]) for at in (wrong, GUST))
+    assert stuck.fit.log_likelihood < right.fit.log_likelihood - 10.0
     draws = sampled(stuck, 1.0, np.random.default_rng(0))
     assert draws is not None
     std = np.sqrt(np.diag(right.fit.covariance))
     for k, name in enumerate(right.fit.simulator.space.names):
-        if name in truth:
+        if name in GUST:
             low, high = draws[:, k].min(), draws[:, k].max()
-            assert low - std[k] <= truth[name] <= high + std[k], name
+            assert low - std[k] <= GUST[name] <= high + std[k], name
 
 
 def test_steps_leave_half_of_the_points_and_end_where_they_may() -> None:

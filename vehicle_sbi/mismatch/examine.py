@@ -34,9 +34,9 @@ TOLD = 0.3  # power of the likelihood of what a model foretells, which whatever 
 class Model:
     """The base model with a set of effects, fitted; `explained` is the score of all of them together.
 
-    `law` is what it has beside them that the catalogue does not, or `loose` what follows no law, `choice` the number of
-    those that it was chosen from; `told` how much likelier it makes recordings that it was not fitted to than the base
-    model does (log likelihood), `posterior` draws of its parameters where they were inferred.
+    `law` is what it has beside them that the catalogue does not, or `loose` what follows no law, one of so many
+    `choice`; `told` how much likelier it makes recordings that it was not fitted to than the base model does (log
+    likelihood), `posterior` draws of its parameters where a normal about the fit is not what is said of them.
     """
 
     effects: tuple[str, ...]

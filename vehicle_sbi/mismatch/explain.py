@@ -30,6 +30,7 @@ LAWS_TRIED = 2  # that are fitted fully beside a model
 NOISE_ROUNDS, STEPS = 2, 6  # of the fit of an extended model
 EXCHANGES = 2  # of effects of the best set, at most: each may show a better set
 HOPELESS = 2.0  # first-order evidence below which no further effect outweighs the reluctance to add one
+KINDS = 3  # of what the catalogue does not have, that share its prior probability: laws, courses and steps
 BELIEF = Belief()
 
 
@@ -66,14 +67,14 @@ def ruled(examined: Examined) -> Iterator[Model]:
         found = descend(model.fit.observation.extended(under(model.fit.simulator, law)), start, STEPS)
         if found is not None:
             fit = with_own_noise(found, NOISE_ROUNDS, STEPS)
-            yield Model(model.effects, fit, model.explained, law, len(examined.free.laws))
+            yield Model(model.effects, fit, model.explained, law, KINDS * len(examined.free.laws))
 
 
 def beyond_laws(model: Model) -> Iterator[Model]:
-    """The model with something beside it that follows no law."""
+    """The model with something beside it that follows no law, and is more than the best of so many in noise."""
     for one in loose(model.fit):
-        if one.gain > HOPELESS:
-            yield replace(model, loose=one, choice=one.choice)
+        if one.gain > HOPELESS + np.log(one.choice):
+            yield replace(model, loose=one, choice=KINDS * one.choice)
 
 
 def without(model: Model, effect: str) -> Model | None:
