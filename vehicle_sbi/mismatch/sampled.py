@@ -22,6 +22,7 @@ from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Fit, descend, with_own_noise
 
 MOST = 8  # parameters of effects together: more of them are the values of a profile, which act alike
+MOST_SAMPLES = 20_000  # of a recording; ten thousand simulations of a longer one take more than minutes
 POINTS = 200
 KEPT = 0.5  # of the points count after each step
 MOVES = 4  # of each point in each step
@@ -87,14 +88,15 @@ class Marginal:
 
 
 def sized(found: Explanation, rng: np.random.Generator) -> Explanation:
-    """With draws from the posterior of the most probable set, if it has more parameters than effects.
+    """With draws from the posterior of the most probable set, if it has more parameters than effects and recordings are
+    not too long for that.
 
     A likelier fit that is found on the way takes the place of the set's own.
     """
     if not (found.detected and found.models):
         return found
     model, *others = found.models
-    if not len(model.effects) < int(_own(model).sum()) <= MOST:
+    if not len(model.effects) < int(_own(model).sum()) <= MOST or model.fit.at.y.shape[1] > MOST_SAMPLES:
         return found
     draws = sampled(model, found.temper, rng)
     if draws is None:
