@@ -79,6 +79,21 @@ class Linearised:
             out[2, c] += 0.5 * (a @ before_b.T + before_a @ b.T)
         return out
 
+    @cached_property
+    def moving(self) -> Float[np.ndarray, "n channels time"]:
+        """Everything that the fit can move, what can come back from the rim last."""
+        return np.concatenate([self.J, self.back])
+
+    @cached_property
+    def own_products(self) -> Products:
+        """Of that with itself."""
+        return self.products(self.moving, self.moving)
+
+    @cached_property
+    def products_left(self) -> Products:
+        """Of that with the residual."""
+        return self.products(self.moving, self.residual)
+
     def _neighbours(self) -> Iterator[tuple[int, slice, slice]]:
         """Channels, samples and those before them, run by run."""
         for c, runs in enumerate(self.runs):
@@ -94,7 +109,8 @@ class Linearised:
 
     def absorbed(self, series: Float[np.ndarray, "k channels time"]) -> Float[np.ndarray, "k channels time"]:
         """What the fit leaves of some series once parameters and initial states have taken what they can."""
-        H = np.einsum("tc,tcij->ij", self._weight, self.products(self.J, self.J)) + np.eye(len(self.J))
+        m = len(self.J)
+        H = np.einsum("tc,tcij->ij", self._weight, self.own_products[..., :m, :m]) + np.eye(m)
         taken = np.linalg.solve(H, np.einsum("tc,tcij->ij", self._weight, self.products(self.J, series)))
         return series - np.tensordot(taken.T, self.J, axes=1)
 
@@ -158,17 +174,17 @@ class Quadratic:
         """For everything that the fit can move, m in number, then what can come back from the rim, and q directions in
         each of k models."""
         k, q, channels, time = changes.shape
-        J, changes = np.concatenate([about.J, about.back]), np.nan_to_num(changes)
+        J, changes = about.moving, np.nan_to_num(changes)
         m, flat = len(J), changes.reshape(k * q, channels, time)
         H, b = np.empty((3, channels, k, m + q, m + q)), np.empty((3, channels, k, m + q))
-        H[..., :m, :m] = about.products(J, J)[:, :, None]
+        H[..., :m, :m] = about.own_products[:, :, None]
         H[..., :m, m:] = about.products(J, flat).reshape(3, channels, m, k, q).transpose(0, 1, 3, 2, 4)
         H[..., m:, :m] = np.swapaxes(H[..., :m, m:], -1, -2)
         if q == 1:
             H[..., m, m] = about.squares(flat)
         for row, g in enumerate(changes if q > 1 else ()):
             H[:, :, row, m:, m:] = about.products(g, g)
-        b[..., :m] = about.products(J, about.residual)[:, :, None, :, 0]
+        b[..., :m] = about.products_left[:, :, None, :, 0]
         b[..., m:] = about.products(flat, about.residual).reshape(3, channels, k, q)
         return cls(H, b, about.squares(about.residual), about.count, about.largest_rho)
 

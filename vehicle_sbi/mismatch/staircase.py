@@ -9,6 +9,7 @@ thousand samples.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -60,17 +61,22 @@ class Staircase:
         """Gain, place among the steps and size of the best step in each series."""
         series = self._innovations(e[:, self.channel])
         std = np.sqrt(np.maximum(np.mean(series**2, axis=1), LEAST_VARIANCE))
-        scores, sizes = [], []
+        error, norm = self._errors
+        along = series.astype(np.float32) @ error.T
+        k = np.argmax(along, axis=1)
+        best = along[np.arange(len(e)), k].astype(float)
+        return 0.5 * np.maximum(best / std, 0.0) ** 2, k, best / norm[k]
+
+    @cached_property
+    def _errors(self) -> tuple[Float[np.ndarray, "n neighbours"], Float[np.ndarray, " n"]]:
+        """Of each step its error as innovations of length 1, in single precision, and that length."""
+        errors, norms = [], []
         for steps in np.array_split(self.steps, -(-len(self.steps) // CHUNK)):
             error = self._innovations(rounding(self.said, steps[:, None]))
             norm = np.sqrt(np.maximum(np.sum(error**2, axis=1), LEAST_VARIANCE))
-            along = series @ error.T / norm
-            scores.append(along / std[:, None])
-            sizes.append(along / norm)
-        score, size = np.concatenate(scores, axis=1), np.concatenate(sizes, axis=1)
-        k = np.argmax(score, axis=1)
-        rows = np.arange(len(e))
-        return 0.5 * np.maximum(score[rows, k], 0.0) ** 2, k, size[rows, k]
+            errors.append((error / norm[:, None]).astype(np.float32))
+            norms.append(norm)
+        return np.concatenate(errors), np.concatenate(norms)
 
     def _innovations(self, series: Float[np.ndarray, "n time"]) -> Float[np.ndarray, "n neighbours"]:
         rho = self.about.fit.simulator.noise.rho[self.channel]
