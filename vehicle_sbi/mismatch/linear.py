@@ -70,13 +70,19 @@ class Linearised:
         return largest_rho(self.fit.simulator.windows.rate, MEMORY_S)
 
     def products(self, x: Float[np.ndarray, "i channels time"], y: Float[np.ndarray, "j channels time"]) -> Products:
-        """Sums over neighbouring samples of x y now, x y a sample earlier, and across (symmetric)."""
+        """Sums over neighbouring samples of x y now, x y a sample earlier, and across (symmetric).
+
+        The second differs from the first by its ends alone, and the third is half of both less half of the product of
+        differences: two matrix products instead of four.
+        """
         out = np.zeros((3, x.shape[1], len(x), len(y)), np.result_type(x, y))
         for c, now, before in self._neighbours():
-            a, b, before_a, before_b = x[:, c, now], y[:, c, now], x[:, c, before], y[:, c, before]
-            out[0, c] += a @ b.T
-            out[1, c] += before_a @ before_b.T
-            out[2, c] += 0.5 * (a @ before_b.T + before_a @ b.T)
+            a, b = x[:, c, now], y[:, c, now]
+            same, changed = a @ b.T, (a - x[:, c, before]) @ (b - y[:, c, before]).T
+            first, last = (np.outer(x[:, c, t], y[:, c, t]) for t in (before.start, now.stop - 1))
+            out[0, c] += same
+            out[1, c] += same + first - last
+            out[2, c] += same + 0.5 * (first - last - changed)
         return out
 
     @cached_property

@@ -23,6 +23,7 @@ from vehicle_sbi.mismatch.fit import Fit, descend, with_own_noise
 
 MOST = 8  # parameters of effects together: more of them are the values of a profile, which act alike
 MOST_SAMPLES = 20_000  # of a recording; ten thousand simulations of a longer one take more than minutes
+LIKELY = 0.2  # probability of a set, alone or beside something unknown, from which its sizes are worth the time
 POINTS = 200
 KEPT = 0.5  # of the points count after each step
 MOVES = 4  # of each point in each step
@@ -88,12 +89,12 @@ class Marginal:
 
 
 def sized(found: Explanation, rng: np.random.Generator) -> Explanation:
-    """With draws from the posterior of the most probable set, if it has more parameters than effects and recordings are
-    not too long for that.
+    """With draws from the posterior of the most probable set, if it is likely at all, has more parameters than effects
+    and recordings are not too long for that.
 
     A likelier fit that is found on the way takes the place of the set's own.
     """
-    if not (found.detected and found.models):
+    if not (found.detected and found.models) or found.standing[0] < LIKELY:
         return found
     model, *others = found.models
     if not len(model.effects) < int(_own(model).sum()) <= MOST or model.fit.at.y.shape[1] > MOST_SAMPLES:
