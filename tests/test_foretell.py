@@ -15,6 +15,8 @@ from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.explanation import DOUBTED, Explanation, doubted
 from vehicle_sbi.mismatch.fit import Fit, Observation
 from vehicle_sbi.mismatch.foretell import foretold
+from vehicle_sbi.mismatch.linear import Linearised
+from vehicle_sbi.mismatch.loose import courses
 from vehicle_sbi.physics.single_track import INPUTS
 
 
@@ -33,8 +35,8 @@ def short(observation: Observation, samples: int = 40) -> Observation:
     return observation.masked(np.arange(time) >= time - samples)
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.6])
-def test_the_density_is_that_of_a_normal_with_noise_and_parameters_in_its_covariance(rho: float) -> None:
+@pytest.mark.parametrize(("rho", "wanders"), [(0.0, False), (0.6, False), (0.6, True)])
+def test_the_density_is_that_of_a_normal_with_noise_and_parameters_in_its_covariance(rho: float, wanders: bool) -> None:
     # Initial states are known here, so that there is nothing else; without the constant of the standard normal.
     sim = lateral(rho=rho)
     fit = fitted(replace(recorded(sim), estimated=False))
@@ -48,9 +50,14 @@ def test_the_density_is_that_of_a_normal_with_noise_and_parameters_in_its_covari
     for c, block in enumerate(noise):
         C[40 * c : 40 * c + 40, 40 * c : 40 * c + 40] = block
     C += J.T @ fit.covariance @ J
+    gyro = next(one for one in courses(Linearised.of(fit)) if one.target.name == "error of the sensor of yaw_rate")
+    if wanders:
+        rows = gyro.rows(there)[:, valid]
+        assert np.abs(rows).max() > 0.01 * fit.simulator.noise.floor[2]
+        C += rows.T @ rows
     r = there.residual[valid]
     expected = -0.5 * r @ np.linalg.solve(C, r) - 0.5 * np.linalg.slogdet(C)[1]
-    found = foretold(Model((), fit, 0.0), held, apart=True)
+    found = foretold(Model((), fit, 0.0, loose=gyro if wanders else None), held, apart=True)
     assert found is not None
     assert found.log_likelihood == pytest.approx(expected, rel=1e-6)
 

@@ -7,6 +7,7 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
 from vehicle_sbi.mismatch.candidates import STEPS, directions, slopes
+from vehicle_sbi.mismatch.examine import NEAR, Model, glance, versions
 from vehicle_sbi.mismatch.fit import linearise
 from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -59,3 +60,16 @@ def test_changes_are_simulated_anew_where_parameters_act_otherwise() -> None:
     again = repertoire.beyond(far)
     assert again.about is far
     assert np.array_equal(again.named, slopes(fit.simulator, theta, again.of.directions))
+
+
+def test_a_force_is_fitted_from_every_place_that_comes_near_the_best() -> None:
+    fit = fitted(recorded(lateral(), crosswind__force=150.0, crosswind__arm=0.2))
+    known = directions(fit.simulator, fit.theta, CATALOGUE["crosswind"])
+    seen = glance(Model((), fit, 0.0), Repertoire.around(fit, known), np.random.default_rng(0))
+    (version,) = versions(seen)
+    arm = next(p for p in version.starts[0] if p.name == "crosswind.arm")
+    evidence = {d.held[arm]: float(e) for d, e in zip(seen.free.directions, seen.scores.log_evidence, strict=True)}
+    near = {value for value, e in evidence.items() if e > max(evidence.values()) - NEAR}
+    assert len(near) > 1
+    assert {start[arm] for start in version.starts} == near
+    assert version.starts[0][arm] == max(evidence, key=lambda value: evidence[value])

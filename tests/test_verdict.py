@@ -46,6 +46,16 @@ def test_one_answer_and_unlike_answers_make_no_group() -> None:
     assert exchangeable([("drag",), ("roll", "lag")]) == []
 
 
+def test_half_the_power_of_a_likelihood_widens_estimates_by_no_more_than_the_root_of_two() -> None:
+    # With l the information in units of the prior's, variances grow by (1 + l) / (1 + l / 2), in the direction that the
+    # recording says least of the least.
+    model = Model((), fitted(recorded(lateral())), 0.0)
+    least = float(np.linalg.eigvalsh(model.fit.information)[0])
+    for before, after in zip(estimates(model).values(), estimates(model, 0.5).values(), strict=True):
+        assert (1.0 + least) / (1.0 + least / 2.0) <= (after.std / before.std) ** 2 * (1.0 + 1e-9)
+        assert after.std <= np.sqrt(2.0) * before.std
+
+
 def test_estimates_are_those_of_the_posterior_where_a_model_was_inferred() -> None:
     fit = fitted(recorded(lateral()))
     names, normal = fit.simulator.space.names, estimates(Model((), fit, 0.0))

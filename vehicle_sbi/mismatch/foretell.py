@@ -1,6 +1,7 @@
 """What a fitted model says of recordings that it was not fitted to: names that fit as well may foretell differently.
 
-There the parameters are as uncertain as their fit left them. With J what a standard deviation of each of them does,
+There the parameters are as uncertain as their fit left them, and what follows no law is as large as it was. With J what
+a standard deviation of each of them does,
 
     log p(r) = log N(r; 0, C + J J'),   T = sum_i q_i^2 / (1 + s_i^2),   J = sum_i s_i u_i v_i' (whitened), q_i = v_i' r
 
