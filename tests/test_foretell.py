@@ -57,7 +57,7 @@ def test_the_density_is_that_of_a_normal_with_noise_and_parameters_in_its_covari
         C += rows.T @ rows
     r = there.residual[valid]
     expected = -0.5 * r @ np.linalg.solve(C, r) - 0.5 * np.linalg.slogdet(C)[1]
-    found = foretold(Model((), fit, 0.0, loose=gyro if wanders else None), held, apart=True)
+    found = foretold(Model((), fit, 0.0, outside=gyro if wanders else None), held, apart=True)
     assert found is not None
     assert found.log_likelihood == pytest.approx(expected, rel=1e-6)
 

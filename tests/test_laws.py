@@ -74,8 +74,8 @@ def test_a_law_outside_the_catalogue_is_unknown(name: str) -> None:
     found = explained(under_law(name, 0.5))
     assert found.detected
     assert found.p_unknown > max(found.probability, default=0.0)
-    best = found.unnamed[0].law
-    assert best is not None
+    best = found.unnamed[0].outside
+    assert isinstance(best, Law)
     assert best.target.name == law(name).target.name
 
 

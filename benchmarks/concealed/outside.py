@@ -35,6 +35,18 @@ OUTSIDE: Mapping[str, Outside] = {
     "speed_dependent_ratio": Outside(
         meaning="the steering's gain changes with speed", kind="command", strength="slope", largest=0.08, signed=True
     ),
+    "rate_limited_steering": Outside(
+        meaning="the wheels turn no faster than a share of what is commanded at most", kind="command",
+        strength="clipped", largest=0.95,
+    ),
+    "one_sided_steering": Outside(
+        meaning="the steering's gain is another one to the left", kind="command", strength="gain", largest=0.6,
+        signed=True,
+    ),
+    "holding_accelerometer": Outside(
+        meaning="the accelerometer repeats its last reading at random", kind="sensor", strength="share", largest=0.95,
+        shape={"draw": (0.0, 1e6)},
+    ),
     "saturating_gyro": Outside(
         meaning="the yaw-rate sensor clips", kind="sensor", strength="clipped", largest=0.8
     ),
@@ -86,6 +98,12 @@ def _commanded(plan: Plan, effects: Effects) -> np.ndarray:
         threshold = effects["stick_slip_steering"]["threshold"]
         for k in range(1, len(delta)):
             delta[k] = delta[k] if abs(delta[k] - delta[k - 1]) > threshold else delta[k - 1]
+    if "rate_limited_steering" in effects:
+        most = (1.0 - effects["rate_limited_steering"]["clipped"]) * abs(np.diff(delta)).max()
+        for k in range(1, len(delta)):
+            delta[k] = np.clip(delta[k], delta[k - 1] - most, delta[k - 1] + most)
+    if "one_sided_steering" in effects:
+        delta += effects["one_sided_steering"]["gain"] * np.maximum(delta, 0.0)
     if "speed_dependent_ratio" in effects:
         v = plan.v_x
         delta *= 1.0 + effects["speed_dependent_ratio"]["slope"] * (v - v.mean())
@@ -97,6 +115,11 @@ def _sensed(series: Series, plan: Plan, effects: Effects) -> Series:
     if "saturating_gyro" in effects:
         limit = (1.0 - effects["saturating_gyro"]["clipped"]) * abs(out["yaw_rate"]).max()
         out["yaw_rate"] = np.clip(out["yaw_rate"], -limit, limit)
+    if "holding_accelerometer" in effects:
+        held = effects["holding_accelerometer"]
+        fresh = _draws(plan, int(held["draw"])).uniform(size=len(plan.t)) >= held["share"]
+        last = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))
+        out |= {name: out[name][last] for name in ("a_x", "a_y")}
     if "quantised_gyro" in effects:
         step = effects["quantised_gyro"]["step"]
         out["yaw_rate"] = step * np.floor(out["yaw_rate"] / step + 0.5)
@@ -112,5 +135,9 @@ def _sensed(series: Series, plan: Plan, effects: Effects) -> Series:
 
 def _walk(plan: Plan, draw: int) -> np.ndarray:
     """A random walk of variance t, another one in each recording of a draw."""
-    recording = crc32(f"{plan.manoeuvre} {plan.v_0} {len(plan.t)}".encode())
-    return np.random.default_rng((draw, recording)).standard_normal(len(plan.t)).cumsum() / np.sqrt(plan.rate)
+    return _draws(plan, draw).standard_normal(len(plan.t)).cumsum() / np.sqrt(plan.rate)
+
+
+def _draws(plan: Plan, draw: int) -> np.random.Generator:
+    """Random numbers, others in each recording of a draw."""
+    return np.random.default_rng((draw, crc32(f"{plan.manoeuvre} {plan.v_0} {len(plan.t)}".encode())))

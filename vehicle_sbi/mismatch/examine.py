@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.mismatch.belief import Belief
+from vehicle_sbi.mismatch.beyond import Beyond
 from vehicle_sbi.mismatch.candidates import Direction, allowed, null, tile
 from vehicle_sbi.mismatch.detect import Scores, score
 from vehicle_sbi.mismatch.fit import Fit
@@ -34,27 +35,26 @@ TOLD = 0.3  # power of the likelihood of what a model foretells, which whatever 
 class Model:
     """The base model with a set of effects, fitted; `explained` is the score of all of them together.
 
-    `law` is what it has beside them that the catalogue does not, or `loose` what follows no law, one of so many
-    `choice`; `told` how much likelier it makes recordings that it was not fitted to than the base model does (log
-    likelihood), `posterior` draws of its parameters where a normal about the fit is not what is said of them.
+    `outside` is what it has beside them that the catalogue does not, one of so many `choice`; `told` how much likelier
+    it makes recordings that it was not fitted to than the base model does (log likelihood), `posterior` draws of its
+    parameters where a normal about the fit is not what is said of them.
     """
 
     effects: tuple[str, ...]
     fit: Fit
     explained: float
-    law: Law | None = None
+    outside: Law | Loose | Beyond | None = None
     choice: int = 1
     told: float = 0.0
     posterior: Float[np.ndarray, "n d"] | None = None
-    loose: Loose | None = None
 
     @property
     def log_evidence(self) -> float:
-        return self.fit.log_evidence + (0.0 if self.loose is None else self.loose.gain)
+        return self.fit.log_evidence + (self.outside.gain if isinstance(self.outside, Loose) else 0.0)
 
     def weight(self, belief: Belief) -> float:
         """Log prior plus log evidence, that of what is foretold included."""
-        laws = None if self.law is None and self.loose is None else self.choice
+        laws = None if self.outside is None else self.choice
         return belief.log_prior(len(self.effects), laws) + self.log_evidence + TOLD * self.told
 
 

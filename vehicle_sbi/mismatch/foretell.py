@@ -19,7 +19,8 @@ from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.candidates import null
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.fit import Fit, Observation, linearise
-from vehicle_sbi.mismatch.laws import followed, moved
+from vehicle_sbi.mismatch.laws import Law, followed, moved
+from vehicle_sbi.mismatch.loose import Loose
 from vehicle_sbi.physics.effects import CATALOGUE
 
 SEEN = 0.3  # standard deviations of the noise, from which a recording says something of a parameter's direction
@@ -48,8 +49,8 @@ def foretold(model: Model, observation: Observation, *, apart: bool) -> Foretold
     if not np.isfinite(there.at.y[there.simulator.windows.valid]).all():
         return None
     changes = _in_std(model.fit, there.at.J)
-    if model.loose is not None:
-        changes = np.concatenate([changes, model.loose.rows(there)])
+    if isinstance(model.outside, Loose):
+        changes = np.concatenate([changes, model.outside.rows(there)])
     J = there.metric(changes).reshape(len(changes), -1)
     r = there.metric(there.residual).reshape(-1)
     _, s, v = np.linalg.svd(J, full_matrices=False)
@@ -71,8 +72,8 @@ def elsewhere(model: Model, observation: Observation, *, apart: bool) -> Fit:
     if apart:
         theta = np.array([null(p) if _timed(p.name) else x for p, x in zip(space.parameters, theta, strict=True)])
     simulator = replace(observation.simulator, space=space, noise=_for(observation.simulator, fit))
-    if model.law is not None:
-        simulator = followed(simulator, moved(model.law, simulator, theta))
+    if isinstance(model.outside, Law):
+        simulator = followed(simulator, moved(model.outside, simulator, theta))
     return Fit(observation.extended(simulator), theta, linearise(simulator, theta))
 
 

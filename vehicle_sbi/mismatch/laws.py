@@ -23,6 +23,7 @@ MOTION = ("v_x", "a_x", "a_y", "yaw_rate")  # of the fitted model, that signals 
 LOAD = 0.1  # of the car's weight, at most, as a force at its root mean square; over its wheelbase, as a moment
 ERROR = 0.3  # of a signal's root mean square, at most, as an error of steering or sensor at its own
 STEADY = 1e-3  # of its root mean square, below which a signal's spread is none
+STEERING = "error of the steering angle"  # a target's name
 STEP = 0.05  # of a law's largest size, for differences
 Course = Float[np.ndarray, "windows time"]
 Unit = tuple[float, float]  # what is taken off a signal, and what the rest is then divided by
@@ -101,7 +102,7 @@ def targets(simulator: Simulator, y: Float[np.ndarray, "channels time"]) -> list
         Target("moment about z", _size("z", "N m", LOAD * weight * L)),
     ]
     if steering > 0.0:
-        found.append(Target("error of the steering angle", _size("steering", "rad", ERROR * float(steering))))
+        found.append(Target(STEERING, _size("steering", "rad", ERROR * float(steering))))
     for c, channel in enumerate(simulator.windows.channels):
         largest = ERROR * float(np.sqrt(np.nanmean(y[c] ** 2))) + 3.0 * float(simulator.noise.floor[c])
         size = _size("sensor", CHANNELS[channel].unit, largest)

@@ -1,52 +1,35 @@
-"""What follows no signal of the drive: a load or an error that takes a course of its own, a sensor that reads in steps.
+"""What follows no signal of the drive: a load or an error that takes a course of its own, a sensor that reads in
+steps, a steering that sticks.
 
-Both stand for something unknown beside the laws. They are not fitted but weighed: what they do to the series has sizes
+They stand for something unknown beside the laws. They are not fitted but weighed: what they do to the series has sizes
 that are normal about zero, so that their evidence and what they foretell are those of a normal with a wider covariance.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
 from scipy.fft import dct
 
 from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.laws import Law, Target, law_slopes, targets
+from vehicle_sbi.mismatch.laws import STEERING, Law, Target, law_slopes, targets
 from vehicle_sbi.mismatch.linear import Linearised, gained_at_random
 from vehicle_sbi.mismatch.locate import bump, clock, stretches
 from vehicle_sbi.mismatch.staircase import Staircase, predicted, rounding
+from vehicle_sbi.mismatch.stiction import effect, errors, likeliest
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 
 SIZES = np.geomspace(0.01, 1.0, 7)  # of a course of its own, in units of the largest size of a law
 
 
-class Loose(Protocol):
-    """Something unknown that is no law: what is off, what it follows, its `size` as a root mean square, how uncertain
-    that is, and the log evidence that it gains beside a fit, of so many `choice` that were weighed."""
-
-    @property
-    def target(self) -> Target: ...
-    @property
-    def signal(self) -> str: ...
-    @property
-    def size(self) -> float: ...
-    @property
-    def std(self) -> float: ...
-    @property
-    def gain(self) -> float: ...
-    @property
-    def choice(self) -> int: ...
-
-    def rows(self, fit: Fit) -> Float[np.ndarray, "q channels time"]:
-        """What it does to the series of a fit, as changes whose sizes are standard normal."""
-        ...
-
-
 @dataclass(frozen=True)
 class Course:
-    """A target that is off by another size in each stretch of time, about none."""
+    """A target that is off by another size in each stretch of time, about none.
+
+    `size` is a root mean square and `std` how uncertain it is; `gain` the log evidence that it gains beside a fit, one
+    of so many `choice` that were weighed.
+    """
 
     target: Target
     size: float
@@ -62,7 +45,7 @@ class Course:
 
 @dataclass(frozen=True)
 class Steps:
-    """A sensor that rounds to steps."""
+    """A sensor that rounds to steps; as what takes a course of its own."""
 
     target: Target
     channel: int
@@ -85,11 +68,35 @@ class Steps:
         return in_steps(fit, self.channel, self.step)
 
 
+@dataclass(frozen=True)
+class Jerks:
+    """A steering that sticks; as what takes a course of its own."""
+
+    target: Target
+    threshold: float
+    size: float
+    std: float
+    gain: float
+    choice: int
+
+    @property
+    def signal(self) -> str:
+        return f"its sticking until it is {self.threshold:.2g} rad off"
+
+    def rows(self, fit: Fit) -> Float[np.ndarray, "1 channels time"]:
+        """What the error does that the fit's own steering would have."""
+        return effect(fit, self.target, errors(fit.simulator, np.array([self.threshold])))
+
+
+Loose = Course | Steps | Jerks
+
+
 def loose(fit: Fit) -> Iterator[Loose]:
-    """Every target on a course of its own, and every channel in steps."""
+    """Every target on a course of its own, every channel in steps, and a steering that sticks."""
     about = Linearised.of(fit)
     yield from courses(about)
     yield from staircases(about)
+    yield from sticking(about)
 
 
 def courses(about: Linearised) -> Iterator[Course]:
@@ -133,3 +140,15 @@ def in_steps(fit: Fit, channel: int, step: float) -> Float[np.ndarray, "1 channe
     error = np.zeros((1, *fit.at.y.shape))
     error[0, channel] = rounding(predicted(fit)[channel], step)
     return error
+
+
+def sticking(about: Linearised) -> Iterator[Jerks]:
+    """The steering with its likeliest threshold, if it moves."""
+    fit = about.fit
+    for target in targets(fit.simulator, fit.at.y):
+        found = likeliest(about, target) if target.name == STEERING else None
+        if found is not None:
+            off = errors(fit.simulator, np.array([found.threshold]))
+            size = found.size * float(np.sqrt(np.mean(off**2)))
+            gain = gained_at_random(about, effect(fit, target, off))
+            yield Jerks(target, found.threshold, size, size / max(found.score, 1.0), gain, found.choice)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, truncnorm
 
+from vehicle_sbi.mismatch.beyond import Beyond
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.experiment import advice
@@ -88,18 +89,42 @@ class Followed:
 
 
 @dataclass(frozen=True)
+class Outgrown:
+    """Base parameters beyond the boxes (low, high) of their priors, the effects that they stand beside, and how
+    probable it is."""
+
+    parameters: dict[str, Estimate]
+    prior: dict[str, tuple[float, float]]
+    effects: tuple[str, ...]
+    probability: float
+
+    @property
+    def sentence(self) -> str:
+        """Where they would lie, in words."""
+        beside = f" beside {_listed(self.effects)}" if self.effects else ""
+        boxes = {name: f"prior {low:.6g} to {high:.6g}" for name, (low, high) in self.prior.items()}
+        found = [f"{quantity(name, e)} ({boxes[name]})" for name, e in self.parameters.items()]
+        return (
+            f"Likelier than any law outside the catalogue{beside}: {' and '.join(found)}; the prior is too narrow, or "
+            "something that is not in the catalogue acts as if it were."
+        )
+
+
+@dataclass(frozen=True)
 class Unknown:
-    """What is missing where no known effect is it: laws, the likeliest first, what load or error over time, and which
-    known effects are likely to be missing beside it."""
+    """What is missing where no known effect is it: laws, the likeliest first, base parameters that would lie beyond
+    their priors, what load or error over time, and which known effects are likely to be missing beside it."""
 
     effects: tuple[str, ...]
     laws: list[Followed]
+    beyond_prior: list[Outgrown]
     over_time: Latent | None
 
     @property
     def sentence(self) -> str:
-        """Both, in words."""
-        found: list[Followed | Latent] = [*self.laws[:1], *([self.over_time] if self.over_time else [])]
+        """The likeliest of them, and what it takes over time."""
+        likeliest = sorted([*self.laws[:1], *self.beyond_prior[:1]], key=lambda one: -one.probability)
+        found: list[Followed | Outgrown | Latent] = [*likeliest[:1], *([self.over_time] if self.over_time else [])]
         return " ".join(one.sentence for one in found)
 
 
@@ -222,22 +247,31 @@ def verdict(
 
 
 def _unknown(explanation: Explanation) -> Unknown:
-    """Laws outside the catalogue that are at all likely, and what it takes beyond the best set of known effects."""
-    laws = []
+    """What lies outside the catalogue and is at all likely, and what it takes beyond the best set of known effects."""
+    laws, outgrown = list[Followed](), list[Outgrown]()
     for model, probability in explanation.laws[:LISTED]:
-        law, size = _of_law(model, explanation.temper)
-        laws.append(Followed(law.target.name, law.signal, size, model.effects, probability))
-    return Unknown(next(iter(explanation.beside_unknown)), laws, what_it_takes(explanation.best.model.fit))
+        if isinstance(model.outside, Beyond):
+            outgrown.append(_outgrown(model, model.outside, probability, explanation.temper))
+        elif model.outside is not None:
+            name, signal = model.outside.target.name, model.outside.signal
+            size = _size(model, model.outside, explanation.temper)
+            laws.append(Followed(name, signal, size, model.effects, probability))
+    beside, takes = next(iter(explanation.beside_unknown)), what_it_takes(explanation.best.model.fit)
+    return Unknown(beside, laws, outgrown, takes)
 
 
-def _of_law(model: Model, power: float) -> tuple[Law | Loose, Estimate]:
-    """What a model has that the catalogue does not, and its size."""
-    if model.law is not None:
-        return model.law, estimates(model, power)[model.law.target.size.name]
-    assert model.loose is not None
-    mean, std = model.loose.size, model.loose.std
+def _outgrown(model: Model, beyond: Beyond, probability: float, power: float) -> Outgrown:
+    found = {name: e for name, e in estimates(model, power).items() if name in beyond.boxes}
+    return Outgrown(found, dict(beyond.boxes), model.effects, probability)
+
+
+def _size(model: Model, outside: Law | Loose, power: float) -> Estimate:
+    """Of what a model has that the catalogue does not."""
+    if isinstance(outside, Law):
+        return estimates(model, power)[outside.target.size.name]
+    mean, std = outside.size, outside.std
     low, high = norm.ppf([0.05, 0.95], mean, max(std, 1e-12))
-    return model.loose, Estimate(mean, std, max(float(low), 0.0), float(high), model.loose.target.size.unit)
+    return Estimate(mean, std, max(float(low), 0.0), float(high), outside.target.size.unit)
 
 
 def exchangeable(together: Sequence[Sequence[str]]) -> list[list[str]]:
