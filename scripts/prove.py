@@ -29,6 +29,7 @@ def main(cfg: DictConfig) -> None:
             results=Path(cfg.results),
             n=cfg.cases,
             seed=cfg.seed,
+            mix=cfg.mix,
             workers=cfg.workers,
             stages={"diagnose": cfg.diagnose, "baselines": cfg.baselines},
             script=ROOT / cfg.script,

@@ -62,10 +62,16 @@ def test_a_block_has_the_stated_mix_and_deals_every_effect_equally_often() -> No
     assert not set(outside.OUTSIDE) & set(CATALOGUE)
 
 
+def test_nothing_is_missing_in_any_case_of_that_mix() -> None:
+    slots = [slot(5, i, [], "nothing") for i in range(50)]
+    assert {one.kind for one in slots} == {"none"}
+    assert [sum(one.level == level for one in slots) for level in ("L0", "L1")] == [35, 15]
+
+
 def test_a_case_is_a_function_of_seed_and_index_and_its_truth_lies_elsewhere(tmp_path: Path) -> None:
     index = next(i for i in range(80) if (one := slot(1, i, [])).level == "L0" and one.kind == "none")
     for folder in (tmp_path / "one", tmp_path / "two"):
-        cases.build(1, index, folder, injected.build, [])
+        cases.build(1, index, "concealed", folder, injected.build, [])
     name = f"{index:04d}"
     one, two = (sorted((tmp_path / k / "cases" / name).iterdir()) for k in ("one", "two"))
     assert [path.name for path in one] == [path.name for path in two]
@@ -77,7 +83,7 @@ def test_a_case_is_a_function_of_seed_and_index_and_its_truth_lies_elsewhere(tmp
     assert "sealed" not in words
     assert not any(f"{truth['vehicle'][key]}" in words for key in ("C_alpha_f", "C_alpha_r", "l_f"))
     before = one[0].stat().st_mtime_ns
-    cases.build(1, index, tmp_path / "one", injected.build, [])
+    cases.build(1, index, "concealed", tmp_path / "one", injected.build, [])
     assert one[0].stat().st_mtime_ns == before  # what is built is not built again
 
 
@@ -274,6 +280,18 @@ def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
     assert row["removed"] == pytest.approx(0.75)
 
 
+def test_a_profile_has_one_error_and_what_is_not_said_of_it_counts_as_none() -> None:
+    grade = truth("single", {"road_grade_profile": {"angle_1": 0.03, "angle_11": 0.04, "angle_9": 0.0}})
+    said = verdict([(["road_grade_profile"], 1.0)], 0.0, 0.0)
+    said["explanations"][0]["parameters"] = {
+        "road_grade_profile.angle_1": {"mean": 0.06, "q05": 0.04, "q95": 0.08},
+        "road_grade_profile.angle_5": {"mean": 0.01, "q05": 0.0, "q95": 0.02},
+    }
+    row = scores.score(grade, said)
+    assert row["size_error"] == pytest.approx(1.0)  # (0.03, -0.04, 0) of (0.03, 0.04, 0)
+    assert row["size_covered"] == 0.0
+
+
 def test_an_oracle_is_no_better_than_the_noise_and_no_worse_than_who_does_not_know(tmp_path: Path) -> None:
     # What is left over cannot be less than the noise that was added, but for the initial states, which take up to 3 of
     # 500 samples, and its own scatter: 4 / sqrt(2 n) with the n of 5 s at 50 Hz, longer where noise is slow.
@@ -282,7 +300,7 @@ def test_an_oracle_is_no_better_than_the_noise_and_no_worse_than_who_does_not_kn
         return one.level == "L0" and one.kind == "single" and one.snr == 32.0 and one.effects[0] == "gyro_bias"
 
     index = next(i for i in range(5000) if wanted(i))
-    cases.build(1, index, tmp_path, injected.build, list(injected.INJECTED))
+    cases.build(1, index, "concealed", tmp_path, injected.build, list(injected.INJECTED))
     case, sealed = tmp_path / "cases" / f"{index:04d}", tmp_path / "sealed" / f"{index:04d}.json"
     truth = json.loads(sealed.read_text())
     oracle.write(case, sealed)

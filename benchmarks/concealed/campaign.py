@@ -22,7 +22,8 @@ import yaml
 from tqdm import tqdm
 
 from concealed import baselines, cases, injected, oracle, scores, summary
-from vehicle_sbi.errors import InputError
+from concealed.mix import MIXES
+from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.files import write_text
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -62,11 +63,13 @@ def run_script(script: Path, arguments: Sequence[str], log: Path) -> None:
     runpy.run_path(str(script), run_name="__main__")
 
 
-def work(folder: Path, seed: int, index: int, stages: Mapping[str, bool], script: Path, timeout_s: float) -> str:
+def work(
+    folder: Path, seed: int, mix: str, index: int, stages: Mapping[str, bool], script: Path, timeout_s: float
+) -> str:
     """One case through the stages that are asked for; what went wrong, or nothing."""
     case = folder / "cases" / f"{index:04d}"
     try:
-        cases.build(seed, index, folder, injected.build, list(injected.INJECTED))
+        cases.build(seed, index, mix, folder, injected.build, list(injected.INJECTED))
         oracle.write(case, folder / "sealed" / f"{index:04d}.json")
         if stages["baselines"]:
             baselines.write(case)
@@ -87,23 +90,31 @@ def gather(folder: Path, n: int) -> pd.DataFrame:
 
 def machine(workers: int) -> str:
     where = f"{date.today()}, {platform.platform()}, {os.cpu_count()} cores"
-    return f"{where}, {workers} diagnoses at a time, one thread each; the start of Python not counted."
+    at_once = f"{workers} diagnos{'i' if workers == 1 else 'e'}s at a time"
+    return f"{where}, {at_once}, one thread each; the start of Python not counted."
+
+
+def _spoken(drawn: Mapping[str, object]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in drawn.items())
 
 
 def prove(
-    *, folder: Path, results: Path, n: int, seed: int, workers: int, stages: Mapping[str, bool], script: Path,
-    timeout_s: float,
+    *, folder: Path, results: Path, n: int, seed: int, mix: str, workers: int, stages: Mapping[str, bool],
+    script: Path, timeout_s: float,
 ) -> str:  # fmt: skip
-    """Run what is missing, write RESULTS/concealed.csv and .md (with a verdict at least), and return the page."""
+    """Run what is missing, write RESULTS/MIX.csv and .md (with a verdict at least), and return the page."""
+    if mix not in MIXES:
+        raise unknown("mix", mix, list(MIXES), "prove")
     os.environ |= ONE_THREAD  # read by the workers as they start
     folder = folder.resolve()
     seal = folder / "benchmark.json"
-    if seal.exists() and json.loads(seal.read_text())["seed"] != seed:
-        raise InputError(f"{folder} holds cases of another seed; name another folder")
-    write_text(seal, json.dumps({"seed": seed}))
+    drawn = {"seed": seed, "mix": mix}
+    if seal.exists() and (there := json.loads(seal.read_text())) != drawn:
+        raise InputError(f"{folder} holds cases of {_spoken(there)}, not of {_spoken(drawn)}; name another folder")
+    write_text(seal, json.dumps(drawn))
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     try:
-        jobs = [pool.submit(work, folder, seed, i, dict(stages), script, timeout_s) for i in range(n)]
+        jobs = [pool.submit(work, folder, seed, mix, i, dict(stages), script, timeout_s) for i in range(n)]
         with tqdm(total=n, desc="cases", disable=None) as bar:
             for job in as_completed(jobs):
                 if problem := job.result():
@@ -116,6 +127,6 @@ def prove(
         raise InputError(f"no case could be built in {folder}")
     page = summary.report(table, machine(workers), len(CATALOGUE))
     where = results if "detected" in table else folder
-    write_text(where / "concealed.csv", table.to_csv(index=False, float_format="%.6g"))
-    write_text(where / "concealed.md", page)
+    write_text(where / f"{mix}.csv", table.to_csv(index=False, float_format="%.6g"))
+    write_text(where / f"{mix}.md", page)
     return page

@@ -78,12 +78,14 @@ def _conceal(seed: int, wanted: Slot, k: int, target: float, *, anyway: bool = F
     return built, min([worth, *(beyond / DETECTABLE / (1.0 - SHORT) for beyond in built.beyond)])
 
 
-def build(seed: int, index: int, folder: Path, injected: Callable[..., None], injectable: Sequence[str]) -> None:
-    """Build case `index` under folder/cases, its truth under folder/sealed; nothing to do where it stands already."""
+def build(
+    seed: int, index: int, mix: str, folder: Path, injected: Callable[..., None], injectable: Sequence[str]
+) -> None:
+    """Build case `index` of a mix under folder/cases, its truth under folder/sealed; nothing to do where it stands."""
     case, sealed = folder / "cases" / f"{index:04d}", folder / "sealed"
     if (case / "case.yaml").exists() and (sealed / f"{index:04d}.json").exists():
         return
-    wanted = slot(seed, index, injectable)
+    wanted = slot(seed, index, injectable, mix)
     if wanted.level == "L2":
         injected(seed, wanted, case, sealed)
         return

@@ -19,6 +19,12 @@ MIX: Mapping[tuple[str, str], int] = {
 }  # fmt: skip
 """Cases of each kind and level in a block."""
 
+MIXES: Mapping[str, Mapping[tuple[str, str], int]] = {
+    "concealed": MIX,
+    "nothing": {cell: n for cell, n in MIX.items() if cell[0] == "none" and cell[1] != "L2"},
+}
+"""By name; the second is for false alarms alone, of which a thousand cases are needed to see one in a hundred."""
+
 SNRS = (4.0, 8.0, 16.0, 32.0)
 
 
@@ -39,14 +45,15 @@ def _dealt(deck: Sequence[str], n: int, seed: int, stream: int) -> str:
     return deck[int(order[n % len(deck)])]
 
 
-def slot(seed: int, index: int, injectable: Sequence[str]) -> Slot:
+def slot(seed: int, index: int, injectable: Sequence[str], mix: str = "concealed") -> Slot:
     """What case `index` is to be; `injectable` are the effects that real recordings can be given."""
-    block, place = divmod(index, sum(MIX.values()))
-    cells = [cell for cell, n in MIX.items() for _ in range(n)]
+    of_each = MIXES[mix]
+    block, place = divmod(index, sum(of_each.values()))
+    cells = [cell for cell, n in of_each.items() for _ in range(n)]
     order = np.random.default_rng((seed, 1, block)).permutation(len(cells))
     kind, level = cells[order[place]]
     before = sum(cells[k][0] == kind and (cells[k][1] == "L2") == (level == "L2") for k in order[:place])
-    each = sum(n for (k, at), n in MIX.items() if k == kind and (at == "L2") == (level == "L2"))
+    each = sum(n for (k, at), n in of_each.items() if k == kind and (at == "L2") == (level == "L2"))
     n, inside = block * each + before, list(CATALOGUE)
     strength = _dealt([str(v) for v in (SNRS if kind in ("single", "pair") else SNRS[1:])], n, seed, 2)
     if kind == "none":

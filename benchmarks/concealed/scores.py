@@ -7,7 +7,7 @@ known; nor are their controls false alarms.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -124,18 +124,31 @@ def _sizes(truth: Json, verdict: Json, best: Answer) -> dict[str, Any]:
         return {"size_error": None, "size_alone": None, "size_covered": None}
     stated, errors, alone, covered = verdict["explanations"][0]["parameters"], [], [], []
     for effect, facts in truth["effects"].items():
-        for key in facts["active"]:
-            name = f"{effect}.{key}"
-            value, null = facts["parameters"][key], EFFECT_PARAMETERS[name].null or 0.0
-            if name in stated and value != null:
-                errors.append(abs(stated[name]["mean"] - value) / abs(value - null))
-                alone += [] if name in SHAPES else errors[-1:]
-                covered.append(stated[name]["q05"] <= value <= stated[name]["q95"])
+        for names in _profiles(effect, facts["active"]):
+            null = np.array([EFFECT_PARAMETERS[name].null or 0.0 for name in names])
+            value = np.array([facts["parameters"][name.split(".")[1]] for name in names])
+            said = [name for name in names if name in stated]
+            if said and not np.array_equal(value, null):
+                means = [
+                    stated[name]["mean"] if name in stated else none for name, none in zip(names, null, strict=True)
+                ]
+                errors.append(float(np.linalg.norm(means - value) / np.linalg.norm(value - null)))
+                alone += [] if names[0] in SHAPES else errors[-1:]
+            sizes = dict(zip(names, value, strict=True))
+            covered += [stated[name]["q05"] <= sizes[name] <= stated[name]["q95"] for name in said]
     return {
         "size_error": float(np.mean(errors)) if errors else None,
         "size_alone": float(np.mean(alone)) if alone else None,
         "size_covered": float(np.mean(covered)) if covered else None,
     }
+
+
+def _profiles(effect: str, keys: Sequence[str]) -> list[list[str]]:
+    """Names of parameters, those of a profile (angle_0, angle_1, …) together: what is said of it has one error."""
+    found: dict[str, list[str]] = {}
+    for key in keys:
+        found.setdefault(key.rstrip("0123456789"), []).append(f"{effect}.{key}")
+    return list(found.values())
 
 
 def _base(truth: Json, verdict: Json) -> dict[str, Any]:

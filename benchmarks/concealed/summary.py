@@ -16,6 +16,7 @@ from concealed.scores import INTERVAL
 from vehicle_sbi.report.tables import markdown
 
 LEVELS = ("L0", "L1", "L2")
+EFFICIENT = math.sqrt(2.0 / math.pi)  # mean absolute error of a size, in its standard deviations, of which it is SNR
 Middle = Callable[..., Any]  # np.mean or np.median
 
 
@@ -108,6 +109,7 @@ METRICS = (
     Metric("its onset's error [s]", _kind("single", "outside", detected=True), "onset_error", "0.1"),
     Metric("effect's parameters, relative error", _kind("single", detected=True), "size_error", "0.10"),
     Metric("their median", _kind("single", detected=True), "size_error", "0.10", np.median),
+    Metric("that of an efficient estimator, 0.8 / SNR", _kind("single", detected=True), "size_efficient"),
     Metric("the same without arms, lags and times", _kind("single", detected=True), "size_alone"),
     Metric("effect's parameters, coverage of 90 %", _kind("single", detected=True), "size_covered", "0.85 to 0.95"),
     Metric("base parameters' bias before [std]", _kind("single", "pair", detected=True), "bias_before"),
@@ -125,6 +127,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
         bool(set(a.split(" + ")) & set(b.split(" + ")))
         for a, b in zip(judged.get("answer", []), judged.get("effects", []), strict=True)
     ]
+    judged["size_efficient"] = (EFFICIENT / judged["snr_beyond"]).where(judged["size_error"].notna())
     parts = {"all": judged} | {level: judged[judged["level"] == level] for level in LEVELS}
     rows = []
     for m in METRICS:
@@ -132,7 +135,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
             name: shown(part.loc[m.among(part), m.value].tolist(), m.middle) if len(part) else ""
             for name, part in parts.items()
         }
-        rows.append({"metric": m.label, **cells, "good": m.good})
+        rows += [{"metric": m.label, **cells, "good": m.good}] if any(cells.values()) else []
     errors = {name: calibration_error(part) for name, part in parts.items()}
     cells = {name: "" if math.isnan(e) else f"{e:.3f}" for name, e in errors.items()}
     rows.append({"metric": "expected calibration error", **cells, "good": "0.05 L0, 0.08 L1"})
@@ -194,11 +197,16 @@ def misses(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+BESIDE = """## Beside simpler methods
+
+Of single effects that are detectable the first name, and whether anything was seen; false alarms."""
+
+
 def report(table: pd.DataFrame, where: str, catalogue: int) -> str:
     """The benchmark's page."""
     counts = table.groupby(["kind", "level"]).size().unstack(fill_value=0).reset_index()
     judged = int(table["detected"].notna().sum()) if "detected" in table else 0
-    weak = int((~table["detectable"].astype(bool)).sum())
+    weak, alone = int((~table["detectable"].astype(bool)).sum()), bool(table["kind"].eq("single").any())
     parts = [
         "# Concealed effects",
         f"{len(table)} cases, {judged} of them diagnosed; mean (90 % interval; cases). {weak} are not detectable in "
@@ -206,13 +214,12 @@ def report(table: pd.DataFrame, where: str, catalogue: int) -> str:
         "own models; L1: a twin and a multi-body car that the tool does not use; L2: real recordings with something "
         "injected.",
         markdown(summary(table)),
-        "## Beside simpler methods\n\nOf single effects that are detectable the first name, and whether anything was "
-        "seen; false alarms.",
-        markdown(beside_baselines(table, catalogue)),
+        BESIDE if alone else "",
+        markdown(beside_baselines(table, catalogue)) if alone else "",
         "## Cases",
         markdown(counts.astype(str)),
-        "## Effect by effect",
-        markdown(misses(table).astype(str)) if judged else "",
+        "## Effect by effect" if alone else "",
+        markdown(misses(table).astype(str)) if alone and judged else "",
         where,
     ]
     return "\n\n".join(part for part in parts if part) + "\n"

@@ -11,6 +11,7 @@ import yaml
 from tqdm import tqdm
 
 from vehicle_sbi.files import write_atomically, write_text
+from vehicle_sbi.mismatch.answer import Verdict, quantity
 from vehicle_sbi.mismatch.candidates import Direction, left_out
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.explain import explain
@@ -20,7 +21,7 @@ from vehicle_sbi.mismatch.gate import through
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
 from vehicle_sbi.mismatch.sampled import sized
 from vehicle_sbi.mismatch.separability import Card, card
-from vehicle_sbi.mismatch.verdict import Verdict, chosen, quantity, verdict
+from vehicle_sbi.mismatch.verdict import chosen, verdict
 from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
 from vehicle_sbi.report.page import in_section, write_page
 from vehicle_sbi.report.run_folder import RunFolder

@@ -9,10 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.mismatch.answer import Verdict
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.improve import Prediction
-from vehicle_sbi.mismatch.verdict import Verdict, chosen
+from vehicle_sbi.mismatch.verdict import chosen
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.report.figures import MEASURED, POSTERIOR, PRIOR, STYLE, TRUTH, key, save

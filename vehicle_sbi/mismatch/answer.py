@@ -1,0 +1,150 @@
+"""The answer's parts as typed values, those of verdict.json, with what is said of each in words."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from vehicle_sbi.mismatch.latent import Latent
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where simulation and recording differ, times [s] of the recordings one after another."""
+
+    channel: str
+    from_s: float
+    to_s: float
+    p_value: float
+    share_of_misfit: float
+    regime: str
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter's posterior."""
+
+    mean: float
+    std: float
+    q05: float
+    q95: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Named:
+    """A set of effects, how probable it is that they are all that is missing, and that they and something unknown are,
+    the size of its parameters, and how much likelier it makes the recordings that help to name (log likelihood)."""
+
+    effects: tuple[str, ...]
+    probability: float
+    beside_unknown: float
+    parameters: dict[str, Estimate]
+    foretold: float | None
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A law outside the catalogue: a target that follows a signal of the drive, its size where the signal has its root
+    mean square, the effects that it stands beside, and how probable it is."""
+
+    target: str
+    signal: str
+    size: Estimate
+    effects: tuple[str, ...]
+    probability: float
+
+    @property
+    def sentence(self) -> str:
+        """The law, in words."""
+        beside = f" beside {listed(self.effects)}" if self.effects else ""
+        size = quantity("", self.size).removeprefix(" = ")
+        return (
+            f"The likeliest law outside the catalogue{beside}: {self.target} that follows {self.signal}, "
+            f"{size} at its root mean square."
+        )
+
+
+@dataclass(frozen=True)
+class Outgrown:
+    """Base parameters beyond the boxes (low, high) of their priors, the effects that they stand beside, and how
+    probable it is."""
+
+    parameters: dict[str, Estimate]
+    prior: dict[str, tuple[float, float]]
+    effects: tuple[str, ...]
+    probability: float
+
+    @property
+    def sentence(self) -> str:
+        """Where they would lie, in words."""
+        beside = f" beside {listed(self.effects)}" if self.effects else ""
+        boxes = {name: f"prior {low:.6g} to {high:.6g}" for name, (low, high) in self.prior.items()}
+        found = [f"{quantity(name, e)} ({boxes[name]})" for name, e in self.parameters.items()]
+        return (
+            f"Likelier than any law outside the catalogue{beside}: {' and '.join(found)}; the prior is too narrow, or "
+            "something that is not in the catalogue acts as if it were."
+        )
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """What is missing where no known effect is it: laws, the likeliest first, base parameters that would lie beyond
+    their priors, what load or error over time, and which known effects are likely to be missing beside it."""
+
+    effects: tuple[str, ...]
+    laws: list[Followed]
+    beyond_prior: list[Outgrown]
+    over_time: Latent | None
+
+    @property
+    def sentence(self) -> str:
+        """The likeliest of them, and what it takes over time."""
+        likeliest = sorted([*self.laws[:1], *self.beyond_prior[:1]], key=lambda one: -one.probability)
+        found: list[Followed | Outgrown | Latent] = [*likeliest[:1], *([self.over_time] if self.over_time else [])]
+        return " ".join(one.sentence for one in found)
+
+
+@dataclass(frozen=True)
+class Score:
+    """A model's prediction of what was held out."""
+
+    nrmse: dict[str, float]
+    log_score: float
+    coverage90: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the diagnosis says; its fields are those of verdict.json. `effects`: how probable it is that each of them is
+    missing, whatever else is."""
+
+    schema: int
+    detected: bool
+    p_value: float
+    mismatch: list[Place]
+    explanations: list[Named]
+    effects: dict[str, float]
+    p_none: float
+    p_unknown: float
+    unknown: Unknown | None
+    indistinguishable: list[list[str]]
+    separating_experiment: str
+    fit: dict[str, object]
+    base_parameters: dict[str, object]
+    notes: list[str]
+    sentence: str
+
+    def as_json(self) -> dict[str, object]:
+        return asdict(self)
+
+
+def quantity(name: str, e: Estimate) -> str:
+    """`body_roll.gradient = 0.0081 ± 0.0004 rad/(m/s^2)`."""
+    digits = max(0, -int(np.floor(np.log10(max(e.std, 1e-12))))) if e.std < 10 else 0
+    return f"{name} = {e.mean:.{min(digits, 9)}f} ± {e.std:.{min(digits, 9)}f} {e.unit}".removesuffix(" 1")
+
+
+def listed(effects: Sequence[str]) -> str:
+    """A set of effects as it is spoken of."""
+    return " with ".join(effects)

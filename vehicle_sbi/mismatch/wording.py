@@ -1,0 +1,100 @@
+"""The answer as a few sentences, for people."""
+
+from collections.abc import Mapping, Sequence
+
+from vehicle_sbi.mismatch.answer import Estimate, Named, Place, Unknown, listed, quantity
+from vehicle_sbi.mismatch.explanation import Explanation
+from vehicle_sbi.mismatch.improve import Gain
+from vehicle_sbi.mismatch.separability import Card
+from vehicle_sbi.physics.effects import CATALOGUE
+
+SPELLED_OUT = 5  # parameters of an effect at most
+ALTERNATIVES = 5  # explanations that are named beside the likeliest one
+SPOKEN_OF = 0.2  # probability from which effects, and something unknown, are spoken of
+
+
+def sentence(
+    explanation: Explanation,
+    found: Sequence[Named],
+    mismatch: Sequence[Place],
+    together: Sequence[Sequence[str]],
+    unknown: Unknown | None,
+    gained: Gain | None,
+    seen: Card,
+) -> str:
+    """The diagnosis in a few sentences, for people."""
+    if not explanation.detected:
+        return (
+            f"Nothing is missing as far as these recordings can tell (p = {explanation.p_value:.2g}): "
+            f"what is left over looks like noise. {_limits(seen)}"
+        )
+    said = [_difference(explanation.p_value, mismatch), _answer(explanation, found, unknown)]
+    if unknown is not None and unknown.sentence:
+        said.append(unknown.sentence)
+    others = [effects for effects in together if effects != found[0].effects]
+    if others:
+        named = [listed(one) for one in others[:ALTERNATIVES]]
+        more = len(others) - len(named)
+        named += [f"{more} more {'set' if more == 1 else 'sets'} of effects"] if more else []
+        said.append(f"These recordings cannot tell it from {', or '.join(named)}.")
+        said.append(_whatever_else(explanation.single))
+    if gained is not None:
+        gain = f"On held-out data the extended model gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample"
+        said.append(f"{gain}." if gained.certain else f"{gain}, which is not certain to be a gain.")
+    return " ".join(said)
+
+
+def _difference(p_value: float, mismatch: Sequence[Place]) -> str:
+    """That they differ, and where most."""
+    where = [f", most of all in {one.channel} {_when(one.regime, one.from_s, one.to_s)}" for one in mismatch[:1]]
+    return f"Simulation and recording differ (p = {p_value:.2g}){''.join(where)}."
+
+
+def _answer(explanation: Explanation, found: Sequence[Named], unknown: Unknown | None) -> str:
+    """What explains it, as far as anything known does."""
+    if not found:
+        return "No known effect explains any of it."
+    best = found[0]
+    named, verb = listed(best.effects), "explains" if len(best.effects) == 1 else "explain"
+    if explanation.p_unknown <= sum(explanation.probability):
+        said = f"{named} {verb} it with probability {best.probability:.2f}"
+    elif unknown is not None and not unknown.effects:
+        nearest = f"of known effects {named} {verb} it best, with {best.probability:.2f}"
+        said = f"Something outside the catalogue explains it with probability {explanation.p_unknown:.2f}; {nearest}"
+    else:
+        left, examined = explanation.best.largest_block, explanation.best.model.effects == best.effects
+        share = f"{explanation.best.share_explained:.0%} at most" if examined else "a part of it"
+        said = (
+            f"No known effect explains all of it: {named} {verb} {share}, and something unknown "
+            f"remains in {left.channel} {_when(left.regime, left.from_s, left.to_s)}"
+        )
+    meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
+    sizes = "; ".join(size for name in best.effects for size in _sizes(name, best.parameters))
+    return f"{said}: {meaning} ({sizes})."
+
+
+def _sizes(effect: str, own: Mapping[str, Estimate]) -> list[str]:
+    """The sizes of an effect's parameters; of a profile its range."""
+    values = {name: e for name, e in own.items() if name.split(".")[0] == effect}
+    if len(values) <= SPELLED_OUT:
+        return [quantity(name, e) for name, e in values.items()]
+    low, high = min(e.mean for e in values.values()), max(e.mean for e in values.values())
+    return [f"{effect}: {len(values)} values from {low:.2g} to {high:.2g} {next(iter(values.values())).unit}"]
+
+
+def _whatever_else(single: Mapping[str, float]) -> str:
+    """How probable each effect is over all sets that hold it; the likeliest one and those that are at all likely."""
+    likely = [f"{name} {p:.2f}" for k, (name, p) in enumerate(single.items()) if k == 0 or p > SPOKEN_OF]
+    return f"Whatever else is missing, the probability that an effect is: {', '.join(likely[:ALTERNATIVES])}."
+
+
+def _limits(seen: Card) -> str:
+    """What could not have been seen at all."""
+    hidden = [c.parameter.name for c in seen.candidates if not c.visible]
+    if len(hidden) == len(seen.candidates):
+        return "But they are too short or too gentle to show any known effect."
+    return f"They would have shown {len(seen.candidates) - len(hidden)} of {len(seen.candidates)} known effects."
+
+
+def _when(regime: str, start: float, stop: float) -> str:
+    return f"where {regime}" if regime else f"from {start:.1f} to {stop:.1f} s"
