@@ -68,7 +68,7 @@ def test_what_sticks_is_unknown_and_play_has_a_name() -> None:
 
 
 def test_nothing_sticks_where_nothing_is_missing() -> None:
-    # A normal of size 1 for the error of each threshold: the best of n of them gains log n in noise at most in most.
+    # One of n standard normals exceeds 2 sqrt(log n) in fewer than one of n recordings.
     fit = fitted(recorded(lateral()))
     target = next(one for one in targets(fit.simulator, fit.at.y) if one.name == STEERING)
     found = likeliest(Linearised.of(fit), target)
