@@ -32,6 +32,7 @@ MOST_DEAD_TIMES = 100  # that are tried of one
 REACHES_S = (1.5, 0.3)  # [s] within which the beginning and the end of something are moved, in turn
 FINENESS = 5  # steps of them to either side
 NOISE_ROUNDS = 4  # of fit and noise at most
+NEAR_ROUNDS, NEAR_STEPS = 2, 6  # the same and Gauss-Newton steps of a model that is one further than a fitted one
 MEMORY_S = 0.5  # [s], the correlation time of noise at most: what is slower is physics, or a sensor that drifts
 STATES = ("v_x", "v_y", "r")
 
@@ -334,6 +335,11 @@ def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS
         if np.allclose(noise.floor, before.floor, rtol=0.01) and np.allclose(noise.rho, before.rho, atol=0.005):
             break
     return fit
+
+
+def settled(found: Fit | None) -> Fit | None:
+    """A fit that began near its optimum, under noise of its own; none if there is none."""
+    return None if found is None else with_own_noise(found, NEAR_ROUNDS, NEAR_STEPS)
 
 
 def best(observation: Observation, starts: Float[np.ndarray, "n d"]) -> Fit:
