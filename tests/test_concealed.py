@@ -58,6 +58,13 @@ def test_a_block_has_the_stated_mix_and_deals_every_effect_equally_often() -> No
     times = pd.Series(alone).value_counts()
     assert set(times.index) == set(CATALOGUE)
     assert times.max() - times.min() <= 1
+    for level in ("L0", "L1"):
+        outer = pd.Series(
+            [one.effects[0] for one in slots if (one.kind, one.level) == ("outside", level)]
+        ).value_counts()
+        dealt = [k for k, one in outside.OUTSIDE.items() if level == "L1" or one.kind != "twin"]
+        assert set(outer.index) == set(dealt)
+        assert outer.max() - outer.min() <= 1
     assert len(outside.OUTSIDE) >= 8
     assert not set(outside.OUTSIDE) & set(CATALOGUE)
 

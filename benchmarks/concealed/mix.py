@@ -45,6 +45,11 @@ def _dealt(deck: Sequence[str], n: int, seed: int, stream: int) -> str:
     return deck[int(order[n % len(deck)])]
 
 
+def _deck(kind: str, level: str) -> str:
+    """Cases of a kind that are dealt from one deck: real recordings apart, and effects that only a twin has."""
+    return level if kind == "outside" or level == "L2" else "simulated"
+
+
 def slot(seed: int, index: int, injectable: Sequence[str], mix: str = "concealed") -> Slot:
     """What case `index` is to be; `injectable` are the effects that real recordings can be given."""
     of_each = MIXES[mix]
@@ -52,8 +57,9 @@ def slot(seed: int, index: int, injectable: Sequence[str], mix: str = "concealed
     cells = [cell for cell, n in of_each.items() for _ in range(n)]
     order = np.random.default_rng((seed, 1, block)).permutation(len(cells))
     kind, level = cells[order[place]]
-    before = sum(cells[k][0] == kind and (cells[k][1] == "L2") == (level == "L2") for k in order[:place])
-    each = sum(n for (k, at), n in of_each.items() if k == kind and (at == "L2") == (level == "L2"))
+    alike = [cell for cell in of_each if cell[0] == kind and _deck(*cell) == _deck(kind, level)]
+    before = sum(cells[k] in alike for k in order[:place])
+    each = sum(of_each[cell] for cell in alike)
     n, inside = block * each + before, list(CATALOGUE)
     strength = _dealt([str(v) for v in (SNRS if kind in ("single", "pair") else SNRS[1:])], n, seed, 2)
     if kind == "none":
