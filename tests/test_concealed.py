@@ -206,6 +206,27 @@ def test_a_zero_that_walks_goes_elsewhere_in_each_recording_and_grows_with_its_r
     assert not np.allclose(walks[2], walks[0])
 
 
+def test_wheels_that_turn_no_faster_turn_no_faster_and_one_side_leaves_the_other_alone() -> None:
+    drive = plan(amplitude=0.02)
+    slow = outside._commanded(drive, {"rate_limited_steering": {"clipped": 0.5}})
+    assert np.abs(np.diff(slow)).max() <= 0.5 * np.abs(np.diff(drive.steering)).max() * (1.0 + 1e-12)
+    left = outside._commanded(drive, {"one_sided_steering": {"gain": 0.3}})
+    np.testing.assert_allclose(left, np.where(drive.steering > 0.0, 1.3, 1.0) * drive.steering)
+
+
+def test_a_holding_accelerometer_reads_what_was_there_now_or_before() -> None:
+    drive = plan()
+    quiet = {name: np.arange(len(drive.t), dtype=float) for name in ("a_x", "a_y", "yaw_rate")}
+    for share in (0.0, 0.6):
+        held = outside._sensed(quiet, drive, {"holding_accelerometer": {"share": share, "draw": 3.0}})
+        late = quiet["a_x"] - held["a_x"]
+        assert late.min() == 0.0
+        # Of n samples each is repeated with probability `share`, to within four standard deviations.
+        assert np.mean(late > 0.0) == pytest.approx(share, abs=4.0 * np.sqrt(share * (1.0 - share) / len(late)))
+        np.testing.assert_array_equal(held["a_y"], held["a_x"])
+        np.testing.assert_array_equal(held["yaw_rate"], quiet["yaw_rate"])
+
+
 # --- baselines ------------------------------------------------------------------------------------------------------
 
 

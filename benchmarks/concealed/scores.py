@@ -134,8 +134,10 @@ def _sizes(truth: Json, verdict: Json, best: Answer) -> dict[str, Any]:
                 ]
                 errors.append(float(np.linalg.norm(means - value) / np.linalg.norm(value - null)))
                 alone += [] if names[0] in SHAPES else errors[-1:]
-            sizes = dict(zip(names, value, strict=True))
-            covered += [stated[name]["q05"] <= sizes[name] <= stated[name]["q95"] for name in said]
+                sizes = {
+                    name: x for name, x, none in zip(names, value, null, strict=True) if name in said and x != none
+                }
+                covered += [stated[name]["q05"] <= x <= stated[name]["q95"] for name, x in sizes.items()]
     return {
         "size_error": float(np.mean(errors)) if errors else None,
         "size_alone": float(np.mean(alone)) if alone else None,

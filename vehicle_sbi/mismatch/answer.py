@@ -100,7 +100,7 @@ class Unknown:
     @property
     def sentence(self) -> str:
         """The likeliest of them, and what it takes over time."""
-        likeliest = sorted([*self.laws[:1], *self.beyond_prior[:1]], key=lambda one: -one.probability)
+        likeliest = sorted([*self.laws, *self.beyond_prior], key=lambda one: -one.probability)
         found: list[Followed | Outgrown | Latent] = [*likeliest[:1], *([self.over_time] if self.over_time else [])]
         return " ".join(one.sentence for one in found)
 
