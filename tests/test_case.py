@@ -16,6 +16,7 @@ from vehicle_sbi.data.recording import CHANNELS, Recording, joined, unheld
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.case import Diagnosis
+from vehicle_sbi.mismatch.locate import own_time
 from vehicle_sbi.physics.single_track import INPUTS
 
 PRIOR = {"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3], "delta_C_alpha_r": [-0.3, 0.3]}
@@ -127,3 +128,24 @@ def test_half_of_what_is_held_out_helps_to_name_and_the_other_half_proves(tmp_pa
     assert naming.any(axis=1).all()
     assert proving.any(axis=1).all()
     assert diagnosis([fitted], window_s=2.0).prepare().naming is None  # blocks of the same drive tell nothing new
+
+
+def test_a_place_on_that_clock_is_said_in_each_recordings_own_time(tmp_path: Path) -> None:
+    # The clock begins at the first sample that is used, about 2 s into the first recording (the speed that is looked at
+    # is smoothed), and runs on into the second one.
+    late = pd.read_csv(written(tmp_path / "late.csv", 0))
+    late.loc[late["time_s"] < 2.0, "v_x_mps"] = 0.1
+    late.to_csv(tmp_path / "late.csv", index=False)
+    case = diagnosis([tmp_path / "late.csv", written(tmp_path / "b.csv", 1)], [written(tmp_path / "c.csv", 2)])
+    simulator = case.prepare().observation.simulator
+    ends = [float(pd.read_csv(tmp_path / name)["time_s"].iloc[-1]) for name in ("late.csv", "b.csv")]
+    begun, half = float(simulator.windows.t[0, 0]), 0.5 / simulator.windows.rate + 1e-9
+    assert begun == pytest.approx(2.0, abs=0.2)
+    first, second = own_time(simulator, 3.0, 1e3)
+    assert (first.recording, second.recording) == ("late", "b")
+    assert first.from_s == pytest.approx(begun + 3.0, abs=2.0 * half)
+    assert second.from_s == pytest.approx(0.0, abs=half)
+    assert [first.to_s, second.to_s] == pytest.approx(ends, abs=half)
+    (whole,) = own_time(simulator, first.to_s - begun + 2.5, first.to_s - begun + 3.5)
+    assert whole.recording == "b"
+    assert [whole.from_s, whole.to_s] == pytest.approx([2.5, 3.5], abs=4.0 * half)

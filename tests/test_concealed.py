@@ -249,7 +249,7 @@ def test_simpler_methods_see_what_is_large_and_only_that() -> None:
 
 def truth(kind: str, effects: dict[str, dict[str, float]], level: str = "L0", **more: object) -> dict:
     facts = {
-        name: {"parameters": values, "active": list(values), "span": (2.0, 4.0) if "start" in values else None}
+        name: {"parameters": values, "active": list(values), "spans": {"a": (2.0, 4.0)} if "start" in values else {}}
         for name, values in effects.items()
     }
     base = {"kind": kind, "level": level, "effects": facts, "base_parameters": {"l_f": 1.2}, "heldout_comparable": True}
@@ -257,7 +257,7 @@ def truth(kind: str, effects: dict[str, dict[str, float]], level: str = "L0", **
 
 
 def verdict(explanations: list[tuple[list[str], float]], none: float, unknown: float, **more: object) -> dict:
-    named = [{"effects": names, "probability": p, "parameters": {}} for names, p in explanations]
+    named = [{"effects": names, "probability": p, "parameters": {}, "acts": {}} for names, p in explanations]
     plain = {"detected": True, "p_value": 0.001, "explanations": named, "p_none": none, "p_unknown": unknown}
     return plain | {"mismatch": [], "indistinguishable": [], "fit": {}, "base_parameters": {}} | more
 
@@ -296,6 +296,7 @@ def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
         "gust.start": {"mean": 3.0, "q05": 2.9, "q95": 3.1},
         "gust.duration": {"mean": 2.0, "q05": 1.9, "q95": 2.1},
     }
+    said["explanations"][0]["acts"] = {"gust": [{"recording": "a", "from_s": 3.0, "to_s": 5.0}]}
     said["base_parameters"] = {"l_f": {"before": {"mean": 1.3, "std": 0.05}, "after": {"mean": 1.21, "std": 0.02}}}
     said["fit"] = {"base": {"nrmse": {"a_y": 0.5}}, "extended": {"nrmse": {"a_y": 0.2}}}
     row = scores.score(gust, said, {"a_y": 0.1})
@@ -306,6 +307,23 @@ def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
     assert row["size_covered"] == pytest.approx(2 / 3)
     assert (row["bias_before"], row["bias_after"]) == (pytest.approx(2.0), pytest.approx(0.5))
     assert row["removed"] == pytest.approx(0.75)
+
+
+def test_places_are_held_against_the_truth_in_each_recording() -> None:
+    drag = truth("outside", {"dragging_rear_wheel": {"start": 2.0, "torque": 20.0}})
+    drag["effects"]["dragging_rear_wheel"]["spans"] = {"a": (2.0, 6.0), "b": (2.0, 8.0)}
+    ends, early, late, unlikely = (
+        {"recording": name, "from_s": start, "to_s": stop}
+        for name, start, stop in (("a", 5.0, 6.0), ("b", 0.0, 1.0), ("b", 4.0, 8.0), ("b", 6.0, 9.0))
+    )
+    places = [
+        {"p_value": p, "regime": "", "within": within}
+        for p, within in ((0.01, [ends, early]), (0.01, [late]), (0.2, [unlikely]))
+    ]
+    row = scores.score(drag, verdict([(["gust"], 0.1)], 0.0, 0.9, mismatch=places))
+    assert row["iou"] == pytest.approx((1.0 + 4.0) / (4.0 + 6.0 + 1.0))
+    assert row["onset_error"] == pytest.approx(3.0)
+    assert scores.score(drag, verdict([(["gust"], 0.1)], 0.0, 0.9))["iou"] == 0.0
 
 
 def test_a_profile_has_one_error_and_what_is_not_said_of_it_counts_as_none() -> None:

@@ -134,6 +134,12 @@ def test_what_even_the_best_leaves_over_elsewhere_counts_as_noise(alike: Explana
         assert spoilt[effects] == pytest.approx(told / 4.0, rel=0.25)
 
 
+def test_what_the_catalogue_does_not_have_is_in_the_order_that_is_foretold(alike: Explanation) -> None:
+    model = alike.models[0]
+    told = replace(alike, unnamed=[replace(model, told=gain) for gain in (-5.0, 5.0, 0.0)]).in_order()
+    assert [model.told for model, _ in told.laws] == [5.0, 0.0, -5.0]
+
+
 def test_halves_share_no_sample_and_lose_none() -> None:
     held = recorded(lateral())
     whole = held.simulator.windows.valid

@@ -114,7 +114,7 @@ def build(
 
 def _truth(wanted: Slot, built: Built, once: set[str], held: Sequence[str]) -> dict[str, Any]:
     setup = built.setup
-    seconds = float(setup.train[0].t[-1])
+    lengths = {"abcde"[i]: float(plan.t[-1]) for i, plan in enumerate(setup.train)}
     weakest = min(built.reached, default=0.0)
     return {
         "index": wanted.index,
@@ -130,7 +130,7 @@ def _truth(wanted: Slot, built: Built, once: set[str], held: Sequence[str]) -> d
                 "inside": one.name in CATALOGUE,
                 "snr": reached,
                 "snr_beyond": beyond,
-                "span": one.span(seconds),
+                "spans": {name: span for name, seconds in lengths.items() if (span := one.span(seconds))},
                 "once": one.name in once,
             }
             for one, reached, beyond in zip(built.drafts, built.reached, built.beyond, strict=True)

@@ -230,7 +230,7 @@ def build(seed: int, wanted: Slot, case: Path, sealed: Path) -> None:
         "effects": {
             effect: {
                 "parameters": parameters, "active": sorted(parameters), "inside": True, "snr": reached,
-                "snr_beyond": reached, "span": None, "once": False,
+                "snr_beyond": reached, "spans": {}, "once": False,
             }
         } if effect else {},
         "snr_drawn": wanted.snr,

@@ -27,6 +27,7 @@ SHAPES = frozenset(
 """Parameters that say where, when or how late an effect acts, and mean nothing without its size."""
 Answer = frozenset[str]
 Json = Mapping[str, Any]
+Span = tuple[float, float]
 
 
 def answers(verdict: Json, *, real: bool = False) -> list[tuple[Answer, float]]:
@@ -91,30 +92,34 @@ def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None)
 
 
 def _place(truth: Json, verdict: Json, answer: Answer) -> dict[str, Any]:
-    """Overlap of the true span with the stated one, and the onset's error.
+    """Overlap of the true spans with the stated ones over all recordings, and the onset's error in the first.
 
-    That is the span of what the answer names, if it says when it acts, else where in time the misfit is.
+    Stated are those of what the answer names, if it says when it acts, else where in time the misfit is.
     """
-    spans = [e["span"] for e in truth["effects"].values() if e["span"]]
-    if not spans:
+    true = next((e["spans"] for e in truth["effects"].values() if e["spans"]), None)
+    if true is None:
         return {"iou": None, "onset_error": None}
-    start, stop = spans[0]
-    places = [m for m in verdict["mismatch"] if m.get("p_value", 0.0) < 0.05 and not m.get("regime")]
-    said = [(m["from_s"], m["to_s"]) for m in places]
-    stated = next((e["parameters"] for e in verdict["explanations"] if set(e["effects"]) == answer), {})
-    for name, value in stated.items():
-        lasts = stated.get(name.replace(".start", ".duration"))
-        if name.endswith(".start") and lasts:
-            said = [(value["mean"], value["mean"] + lasts["mean"])]
-    if not said:
-        return {"iou": 0.0, "onset_error": None}
-    edges = sorted({start, stop, *(edge for span in said for edge in span)})
+    acts = next((e["acts"] for e in verdict["explanations"] if set(e["effects"]) == answer), {})
+    places = [m["within"] for m in verdict["mismatch"] if m["p_value"] < 0.05 and not m["regime"]]
+    said: dict[str, list[tuple[float, float]]] = {}
+    for stretch in next(iter(acts.values()), [stretch for within in places for stretch in within]):
+        said.setdefault(stretch["recording"], []).append((stretch["from_s"], stretch["to_s"]))
+    both, either = 0.0, 0.0
+    for name in true.keys() | said.keys():
+        common, any_of_them = _overlap([true[name]] if name in true else [], said.get(name, []))
+        both, either = both + common, either + any_of_them
+    first, (start, _) = next(iter(true.items()))
+    onset = abs(min(begun for begun, _ in said[first]) - start) if first in said else None
+    return {"iou": both / either if said else 0.0, "onset_error": onset}
+
+
+def _overlap(true: Sequence[Span], said: Sequence[Span]) -> tuple[float, float]:
+    """Seconds in which both are, and in which any of them is."""
     both = either = 0.0
-    for low, high in pairwise(edges):
-        middle = (low + high) / 2
-        true, stated = start < middle < stop, any(a < middle < b for a, b in said)
-        both, either = both + (true and stated) * (high - low), either + (true or stated) * (high - low)
-    return {"iou": both / either if either else 0.0, "onset_error": abs(min(a for a, _ in said) - start)}
+    for low, high in pairwise(sorted({edge for span in (*true, *said) for edge in span})):
+        inside = [any(start < (low + high) / 2 < stop for start, stop in spans) for spans in (true, said)]
+        both, either = both + all(inside) * (high - low), either + any(inside) * (high - low)
+    return both, either
 
 
 def _sizes(truth: Json, verdict: Json, best: Answer) -> dict[str, Any]:

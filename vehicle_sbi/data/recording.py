@@ -93,7 +93,7 @@ class Windows:
     u: inputs in the order of `INPUTS`, held over the padded end of a last window; x0: v_x [m/s], v_y [m/s] and
     yaw rate [rad/s] at each start, x0_std their standard deviations; y: measurements, window after window (NaN where
     there is none); valid: what is to be fitted; t: recording time [s]; groups: the sensors of each channel, speed_group
-    those of the speeds that drive the model.
+    those of the speeds that drive the model; recordings: which one each window is of.
     """
 
     rate: float
@@ -107,6 +107,7 @@ class Windows:
     t: Float[np.ndarray, "windows time"]
     notes: tuple[str, ...] = ()
     speed_group: str = "can"
+    recordings: tuple[str, ...] = ()
 
 
 def joined(parts: Sequence[Windows], names: Sequence[str]) -> Windows:
@@ -136,6 +137,7 @@ def joined(parts: Sequence[Windows], names: Sequence[str]) -> Windows:
         x0=np.concatenate([part.x0 for part in parts]),
         x0_std=np.max([part.x0_std for part in parts], axis=0),
         t=np.concatenate([part.t for part in parts]),
+        recordings=tuple(name for part, name in zip(parts, names, strict=True) for _ in part.t),
         notes=notes if len(parts) > 1 else first.notes,
     )
 
@@ -287,6 +289,7 @@ class Recording:
             groups=tuple(self.group(name) for name in channels),
             speed_group=self.group(NEEDED[drive][0]),
             t=(self.t[index[:, :1]] + np.arange(n) / self.rate)[fitted],
+            recordings=(self.name,) * int(fitted.sum()),
             notes=(*self.notes, *notes),
         )
 

@@ -6,11 +6,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from vehicle_sbi.mismatch.latent import Latent
+from vehicle_sbi.mismatch.locate import Stretch
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where simulation and recording differ, times [s] of the recordings one after another."""
+    """Where simulation and recording differ: times [s] of what is used of the recordings, one after another, and
+    `within` each of them."""
 
     channel: str
     from_s: float
@@ -18,6 +20,7 @@ class Place:
     p_value: float
     share_of_misfit: float
     regime: str
+    within: list[Stretch]
 
 
 @dataclass(frozen=True)
@@ -34,13 +37,15 @@ class Estimate:
 @dataclass(frozen=True)
 class Named:
     """A set of effects, how probable it is that they are all that is missing, and that they and something unknown are,
-    the size of its parameters, and how much likelier it makes the recordings that help to name (log likelihood)."""
+    the size of its parameters, how much likelier it makes the recordings that help to name (log likelihood), and when
+    in which recording those of its effects act that come and go."""
 
     effects: tuple[str, ...]
     probability: float
     beside_unknown: float
     parameters: dict[str, Estimate]
     foretold: float | None
+    acts: dict[str, list[Stretch]]
 
 
 @dataclass(frozen=True)

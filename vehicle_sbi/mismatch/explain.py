@@ -96,7 +96,6 @@ def explain(
         frontier = [best, *(glance(model, repertoire, rng) for model in others)]
         unnamed += beside(best, base.simulator.space)
         promising |= {version.effect for examined in frontier for version in versions(examined)[:TRIED]}
-    unnamed.sort(key=weight, reverse=True)
     likely = repertoire.only(promising)
     named: list[Model] = []
     for _ in range(EXCHANGES):

@@ -68,12 +68,14 @@ class Explanation:
         ).in_order()
 
     def in_order(self) -> "Explanation":
-        """Sets by how probable they are; those that are hardly so alone by how probable beside something unknown."""
+        """Sets by how probable they are; those that are hardly so alone by how probable beside something unknown; and
+        what the catalogue does not have."""
         ranked = sorted(
             zip(self.models, self.probability, self.standing, strict=True),
             key=lambda one: (-round(one[1], TOLD_APART), -one[2]),
         )
-        return replace(self, models=[model for model, _, _ in ranked])
+        unnamed = sorted(self.laws, key=lambda one: -one[1])
+        return replace(self, models=[model for model, _, _ in ranked], unnamed=[model for model, _ in unnamed])
 
     @property
     def standing(self) -> list[float]:

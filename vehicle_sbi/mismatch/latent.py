@@ -13,14 +13,15 @@ from jaxtyping import Float
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law, Target, law_slopes, targets
 from vehicle_sbi.mismatch.linear import Linearised, gained, profile
-from vehicle_sbi.mismatch.locate import bump, clock, stretches
+from vehicle_sbi.mismatch.locate import Stretch, bump, clock, own_time, spoken, stretches
 
 LEAST_GAIN = 3.0  # log likelihood a number below which nothing is said
 
 
 @dataclass(frozen=True)
 class Latent:
-    """A force or an error over time: its size in each stretch (from_s, to_s), and the log likelihood that it gains."""
+    """A force or an error over time: its size in each stretch (from_s, to_s), the log likelihood that it gains, and
+    when it is largest."""
 
     quantity: str
     unit: str
@@ -28,6 +29,7 @@ class Latent:
     to_s: list[float]
     size: list[float]
     gain: float
+    within: list[Stretch]
 
     @property
     def largest(self) -> int:
@@ -39,7 +41,7 @@ class Latent:
         k, article = self.largest, "an" if self.quantity[0] in "aeiou" else "a"
         return (
             f"What is left over would take {article} {self.quantity} of up to {self.size[k]:.3g} {self.unit} "
-            f"from {self.from_s[k]:.1f} to {self.to_s[k]:.1f} s."
+            f"{spoken(self.within)}."
         )
 
 
@@ -60,7 +62,8 @@ def _fitted(
     about, free = Linearised.of(fit), np.full((1, len(rows)), np.inf)
     size = profile(about, rows[None], -free, free).size[0]
     starts, stops = zip(*spans, strict=True)
-    return Latent(target.name, target.size.unit, [*starts], [*stops], size.tolist(), gained(about, rows))
+    within = own_time(fit.simulator, *spans[int(np.argmax(np.abs(size)))])
+    return Latent(target.name, target.size.unit, [*starts], [*stops], size.tolist(), gained(about, rows), within)
 
 
 def what_it_takes(fit: Fit) -> Latent | None:

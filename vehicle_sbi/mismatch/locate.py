@@ -34,9 +34,37 @@ class Block:
         return same and self.from_s <= other.from_s <= self.to_s
 
 
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of one recording; times [s] are those of its file."""
+
+    recording: str
+    from_s: float
+    to_s: float
+
+
 def clock(simulator: Simulator) -> Float[np.ndarray, " time"]:
     """Time of each sample [s], of recordings one after another."""
     return simulator.windows.u[..., INPUTS.index("time")].reshape(-1)
+
+
+def own_time(simulator: Simulator, from_s: float, to_s: float) -> list[Stretch]:
+    """A stretch of that time as stretches of the recordings that it reaches into, in their own time."""
+    windows, found = simulator.windows, dict[str, Stretch]()
+    time = clock(simulator).reshape(windows.t.shape)
+    padded = np.diff(time, axis=1, prepend=-np.inf) <= 0.0
+    inside = (time >= from_s) & (time <= to_s) & ~padded
+    names = windows.recordings or ("the recording",) * len(time)
+    for k in np.flatnonzero(inside.any(axis=1)):
+        name, t = names[k], windows.t[k, inside[k]]
+        begun = found[name].from_s if name in found else float(t[0])
+        found[name] = Stretch(name, begun, float(t[-1]))
+    return [*found.values()]
+
+
+def spoken(within: Sequence[Stretch]) -> str:
+    """Stretches of recordings in words."""
+    return " and ".join(f"from {one.from_s:.1f} to {one.to_s:.1f} s of {one.recording}" for one in within)
 
 
 def stretches(simulator: Simulator) -> list[tuple[float, float]]:

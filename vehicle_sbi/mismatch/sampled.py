@@ -22,7 +22,7 @@ from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Fit, descend, with_own_noise
 
 MOST = 8  # parameters of effects together: more of them are the values of a profile, which act alike
-MOST_SAMPLES = 20_000  # of a recording; ten thousand simulations of a longer one take more than minutes
+MOST_SAMPLES = 25_000  # of all channels together; ten thousand simulations of more of them take more than minutes
 LIKELY = 0.2  # probability of a set, alone or beside something unknown, from which its sizes are worth the time
 POINTS = 200
 KEPT = 0.5  # of the points count after each step
@@ -97,7 +97,7 @@ def sized(found: Explanation, rng: np.random.Generator) -> Explanation:
     if not (found.detected and found.models) or found.standing[0] < LIKELY:
         return found
     model, *others = found.models
-    if not len(model.effects) < int(_own(model).sum()) <= MOST or model.fit.at.y.shape[1] > MOST_SAMPLES:
+    if not len(model.effects) < int(_own(model).sum()) <= MOST or model.fit.at.y.size > MOST_SAMPLES:
         return found
     draws = sampled(model, found.temper, rng)
     if draws is None:

@@ -10,6 +10,7 @@ from scipy.stats import norm, truncnorm
 
 from vehicle_sbi.mismatch.answer import Estimate, Followed, Named, Outgrown, Place, Score, Unknown, Verdict, listed
 from vehicle_sbi.mismatch.beyond import Beyond
+from vehicle_sbi.mismatch.candidates import SPAN
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.experiment import advice
@@ -19,7 +20,7 @@ from vehicle_sbi.mismatch.gate import Gate
 from vehicle_sbi.mismatch.improve import Gain, Prediction
 from vehicle_sbi.mismatch.latent import what_it_takes
 from vehicle_sbi.mismatch.laws import Law
-from vehicle_sbi.mismatch.locate import merged
+from vehicle_sbi.mismatch.locate import Stretch, merged, own_time
 from vehicle_sbi.mismatch.loose import Loose
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.mismatch.wording import SPOKEN_OF, sentence
@@ -57,7 +58,13 @@ def places(explanation: Explanation) -> list[Place]:
     whole = merged([free.blocks[k] for k in significant], z[significant])
     total = sum(energy for _, energy in whole)
     smallest = {place: min(float(p[k]) for k in significant if place.holds(free.blocks[k])) for place, _ in whole}
-    return [Place(b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime) for b, energy in whole]
+    simulator = explanation.base.model.fit.simulator
+    return [
+        Place(
+            b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime, own_time(simulator, b.from_s, b.to_s)
+        )
+        for b, energy in whole
+    ]  # fmt: skip
 
 
 def _named(explanation: Explanation, k: int) -> Named:
@@ -69,7 +76,17 @@ def _named(explanation: Explanation, k: int) -> Named:
     }
     beside = explanation.beside_unknown.get(model.effects, 0.0)
     foretold = None if explanation.p_told is None else model.told
-    return Named(model.effects, explanation.probability[k], beside, own, foretold)
+    return Named(model.effects, explanation.probability[k], beside, own, foretold, _acts(model, own))
+
+
+def _acts(model: Model, own: Mapping[str, Estimate]) -> dict[str, list[Stretch]]:
+    """When each effect that comes and goes does so, on average."""
+    found = dict[str, list[Stretch]]()
+    for effect in model.effects:
+        begun, lasting = (own.get(f"{effect}.{key}") for key in SPAN)
+        if begun is not None and lasting is not None:
+            found[effect] = own_time(model.fit.simulator, begun.mean, begun.mean + lasting.mean)
+    return found
 
 
 def verdict(

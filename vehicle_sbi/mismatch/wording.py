@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from vehicle_sbi.mismatch.answer import Estimate, Named, Place, Unknown, listed, quantity
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.improve import Gain
+from vehicle_sbi.mismatch.locate import Stretch, own_time, spoken
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -46,7 +47,7 @@ def sentence(
 
 def _difference(p_value: float, mismatch: Sequence[Place]) -> str:
     """That they differ, and where most."""
-    where = [f", most of all in {one.channel} {_when(one.regime, one.from_s, one.to_s)}" for one in mismatch[:1]]
+    where = [f", most of all in {one.channel} {_when(one.regime, one.within)}" for one in mismatch[:1]]
     return f"Simulation and recording differ (p = {p_value:.2g}){''.join(where)}."
 
 
@@ -63,14 +64,16 @@ def _answer(explanation: Explanation, found: Sequence[Named], unknown: Unknown |
         said = f"Something outside the catalogue explains it with probability {explanation.p_unknown:.2f}; {nearest}"
     else:
         left, examined = explanation.best.largest_block, explanation.best.model.effects == best.effects
+        within = own_time(explanation.best.model.fit.simulator, left.from_s, left.to_s)
         share = f"{explanation.best.share_explained:.0%} at most" if examined else "a part of it"
         said = (
             f"No known effect explains all of it: {named} {verb} {share}, and something unknown "
-            f"remains in {left.channel} {_when(left.regime, left.from_s, left.to_s)}"
+            f"remains in {left.channel} {_when(left.regime, within)}"
         )
     meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
     sizes = "; ".join(size for name in best.effects for size in _sizes(name, best.parameters))
-    return f"{said}: {meaning} ({sizes})."
+    acting = "".join(f" {name} acts {spoken(within)}." for name, within in best.acts.items())
+    return f"{said}: {meaning} ({sizes}).{acting}"
 
 
 def _sizes(effect: str, own: Mapping[str, Estimate]) -> list[str]:
@@ -96,5 +99,5 @@ def _limits(seen: Card) -> str:
     return f"They would have shown {len(seen.candidates) - len(hidden)} of {len(seen.candidates)} known effects."
 
 
-def _when(regime: str, start: float, stop: float) -> str:
-    return f"where {regime}" if regime else f"from {start:.1f} to {stop:.1f} s"
+def _when(regime: str, within: Sequence[Stretch]) -> str:
+    return f"where {regime}" if regime else spoken(within)

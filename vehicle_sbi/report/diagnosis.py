@@ -19,6 +19,7 @@ from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Fit, best
 from vehicle_sbi.mismatch.gate import through
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
+from vehicle_sbi.mismatch.locate import spoken
 from vehicle_sbi.mismatch.sampled import sized
 from vehicle_sbi.mismatch.separability import Card, card
 from vehicle_sbi.mismatch.verdict import chosen, verdict
@@ -181,8 +182,7 @@ def _places(answer: Verdict) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "channel": [p.channel for p in answer.mismatch],
-            "from [s]": [f"{p.from_s:.1f}" for p in answer.mismatch],
-            "to [s]": [f"{p.to_s:.1f}" for p in answer.mismatch],
+            "when": [spoken(p.within) for p in answer.mismatch],
             "regime": [p.regime or "any" for p in answer.mismatch],
             "p": [f"{p.p_value:.2g}" for p in answer.mismatch],
             "share": [f"{p.share_of_misfit:.0%}" for p in answer.mismatch],
