@@ -96,13 +96,14 @@ def _place(truth: Json, verdict: Json, answer: Answer) -> dict[str, Any]:
 
     Stated are those of what the answer names, if it says when it acts, else where in time the misfit is.
     """
-    true = next((e["spans"] for e in truth["effects"].values() if e["spans"]), None)
+    effect, true = next(((name, e["spans"]) for name, e in truth["effects"].items() if e["spans"]), ("", None))
     if true is None:
         return {"iou": None, "onset_error": None}
     acts = next((e["acts"] for e in verdict["explanations"] if set(e["effects"]) == answer), {})
     places = [m["within"] for m in verdict["mismatch"] if m["p_value"] < 0.05 and not m["regime"]]
-    said: dict[str, list[tuple[float, float]]] = {}
-    for stretch in next(iter(acts.values()), [stretch for within in places for stretch in within]):
+    acting = acts.get(effect) or next(iter(acts.values()), None)
+    said: dict[str, list[Span]] = {}
+    for stretch in acting or [stretch for within in places for stretch in within]:
         said.setdefault(stretch["recording"], []).append((stretch["from_s"], stretch["to_s"]))
     both, either = 0.0, 0.0
     for name in true.keys() | said.keys():

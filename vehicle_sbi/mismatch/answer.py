@@ -38,7 +38,7 @@ class Estimate:
 class Named:
     """A set of effects, how probable it is that they are all that is missing, and that they and something unknown are,
     the size of its parameters, how much likelier it makes the recordings that help to name (log likelihood), and when
-    in which recording those of its effects act that come and go."""
+    in which recording those of its effects act that come and go, or have a profile over that time."""
 
     effects: tuple[str, ...]
     probability: float

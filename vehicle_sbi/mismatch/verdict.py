@@ -24,6 +24,7 @@ from vehicle_sbi.mismatch.locate import Stretch, merged, own_time
 from vehicle_sbi.mismatch.loose import Loose
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.mismatch.wording import SPOKEN_OF, sentence
+from vehicle_sbi.physics.effects import CATALOGUE
 
 SCHEMA = 1
 LISTED = 40  # explanations at most
@@ -80,12 +81,13 @@ def _named(explanation: Explanation, k: int) -> Named:
 
 
 def _acts(model: Model, own: Mapping[str, Estimate]) -> dict[str, list[Stretch]]:
-    """When each effect that comes and goes does so, on average."""
+    """When each effect that is tied to the clock acts: a profile throughout, what comes and goes when it does on
+    average."""
     found = dict[str, list[Stretch]]()
-    for effect in model.effects:
+    for effect in (name for name in model.effects if CATALOGUE[name].timed):
         begun, lasting = (own.get(f"{effect}.{key}") for key in SPAN)
-        if begun is not None and lasting is not None:
-            found[effect] = own_time(model.fit.simulator, begun.mean, begun.mean + lasting.mean)
+        start = 0.0 if begun is None else begun.mean
+        found[effect] = own_time(model.fit.simulator, start, np.inf if lasting is None else start + lasting.mean)
     return found
 
 

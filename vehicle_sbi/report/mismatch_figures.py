@@ -26,7 +26,8 @@ def residuals(found: Explanation, answer: Verdict, path: Path) -> None:
     """Recorded less simulated per channel, smoothed over a quarter of a second, of base and extended model."""
     base, model = found.base.model.fit, chosen(found)
     windows = base.simulator.windows
-    t = windows.u[..., INPUTS.index("time")].reshape(-1)
+    alone = len(set(windows.recordings)) == 1
+    t = (windows.t if alone else windows.u[..., INPUTS.index("time")]).reshape(-1)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 1.7 * len(windows.channels) + 0.8), layout="constrained")
         axes = figure.subplots(len(windows.channels), 1, sharex=True, squeeze=False)[:, 0]
@@ -38,10 +39,11 @@ def residuals(found: Explanation, answer: Verdict, path: Path) -> None:
                 axis.plot(t, _smooth(rest, windows.rate), color=color, linewidth=1.3)
             for place in answer.mismatch:
                 if place.channel == name and not place.regime:
-                    axis.axvspan(place.from_s, place.to_s, color=PRIOR, alpha=0.7, linewidth=0, zorder=0)
+                    for one in place.within if alone else [place]:
+                        axis.axvspan(one.from_s, one.to_s, color=PRIOR, alpha=0.7, linewidth=0, zorder=0)
             axis.set_ylabel(f"{symbol(name)} [{unit_symbol(CHANNELS[name].unit)}]")
             axis.axhline(0.0, color="#999999", linewidth=0.6)
-        axes[-1].set_xlabel("time [s], recordings one after another")
+        axes[-1].set_xlabel(f"time [s]{'' if alone else ', recordings one after another'}")
         keys = [key("base model", TRUTH), *([key("extended model", POSTERIOR)] if model.effects else [])]
         save(figure, path, [*keys, Patch(color=PRIOR, label="more than noise")])
 
