@@ -149,3 +149,19 @@ def test_a_place_on_that_clock_is_said_in_each_recordings_own_time(tmp_path: Pat
     (whole,) = own_time(simulator, first.to_s - begun + 2.5, first.to_s - begun + 3.5)
     assert whole.recording == "b"
     assert [whole.from_s, whole.to_s] == pytest.approx([2.5, 3.5], abs=4.0 * half)
+
+
+def test_what_happens_at_a_moment_does_so_in_the_blocks_that_are_held_out_of_the_same_drive(tmp_path: Path) -> None:
+    # The clock of fitted and of held-out samples is the time of the file less that of the first sample that is fitted,
+    # and a profile is spread over as long a time in both.
+    late = pd.read_csv(written(tmp_path / "late.csv", 0))
+    late.loc[late["time_s"] < 2.0, "v_x_mps"] = 0.1
+    late.to_csv(tmp_path / "late.csv", index=False)
+    case = diagnosis([tmp_path / "late.csv"], window_s=2.0).prepare()
+    fitted, held = (o.simulator for o in (case.observation, case.held_out))
+    begun = float(fitted.windows.t[0, 0])
+    for simulator in (fitted, held):
+        clock = simulator.windows.u[..., INPUTS.index("time")]
+        real = np.diff(clock, axis=1, prepend=-np.inf) > 0.0
+        np.testing.assert_allclose(clock[real], simulator.windows.t[real] - begun, atol=1e-9)
+    assert held.nominal["duration"] == fitted.nominal["duration"]

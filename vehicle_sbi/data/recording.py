@@ -110,14 +110,24 @@ class Windows:
     recordings: tuple[str, ...] = ()
 
 
-def joined(parts: Sequence[Windows], names: Sequence[str]) -> Windows:
-    """Windows of several recordings as those of one, its clock running through them one after another.
+def one_after_another(parts: Sequence[Windows]) -> list[float]:
+    """What to add to the time of each recording [s], so that one clock runs through what is used of all, from 0 on."""
+    shifts, elapsed = list[float](), 0.0
+    for part in parts:
+        time = part.u[..., INPUTS.index("time")]
+        shifts.append(elapsed - float(time.min()))
+        elapsed = shifts[-1] + float(time.max()) + 1.0 / part.rate
+    return shifts
+
+
+def joined(parts: Sequence[Windows], names: Sequence[str], shifts: Sequence[float] | None = None) -> Windows:
+    """Windows of several recordings as those of one, the time of each shifted, by default one after another.
 
     The spread of initial states is the largest of each. Raises InputError for recordings of different rates, channels
     or sensor groups; `names` are what it calls them.
     """
-    first, elapsed, u = parts[0], 0.0, []
-    for part, name in zip(parts, names, strict=True):
+    first, u = parts[0], []
+    for part, name, shift in zip(parts, names, shifts or one_after_another(parts), strict=True):
         for what in ("rate", "channels", "groups", "speed_group"):
             if getattr(part, what) != getattr(first, what):
                 raise InputError(
@@ -125,8 +135,7 @@ def joined(parts: Sequence[Windows], names: Sequence[str]) -> Windows:
                     f"{getattr(part, what)}; one diagnosis needs the same of all (recording.rate resamples)"
                 )
         moved = part.u.copy()
-        moved[..., INPUTS.index("time")] += elapsed - part.u[..., INPUTS.index("time")].min()
-        elapsed = float(moved[..., INPUTS.index("time")].max()) + 1.0 / part.rate
+        moved[..., INPUTS.index("time")] += shift
         u.append(moved)
     notes = tuple(f"{name}: {note}" for part, name in zip(parts, names, strict=True) for note in part.notes)
     return replace(

@@ -7,7 +7,7 @@ import numpy as np
 
 from vehicle_sbi.data.noise import DrawnProcessNoise, EstimatedNoise, Mixture
 from vehicle_sbi.data.readers import RecordingFile
-from vehicle_sbi.data.recording import Recording, Windows, joined
+from vehicle_sbi.data.recording import Recording, Windows, joined, one_after_another
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.setup import Setup
 from vehicle_sbi.mismatch.belief import Belief
@@ -72,8 +72,14 @@ class Diagnosis(Setup):
             training = [(file, kept) for file, (kept, _) in parts]
             held = [(file, out) for file, (_, out) in parts]
             names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
-        observation = longer.observe(space, training)
-        held_out = longer.observe(space, held, like=observation)
+        parts, others = ([longer.windows(recording, file) for file, recording in part] for part in (training, held))
+        clock = one_after_another(parts)
+        observation = longer.observe(space, parts, clock)
+        if self.heldout:
+            held_out = longer.observe(space, others, one_after_another(others), like=observation)
+        else:  # other times of the same recordings
+            held_out = longer.observe(space, others, clock, like=observation)
+            held_out = held_out.extended(replace(held_out.simulator, nominal=observation.simulator.nominal))
         naming, proving = halves(held_out)
         if not (self.heldout and naming.anything and proving.anything):
             naming, proving = None, held_out
@@ -108,11 +114,10 @@ class Diagnosis(Setup):
         return [replace(self.recording, path=one, name=None) if isinstance(one, str) else one for one in given]
 
     def observe(
-        self, space: ParameterSpace, pairs: Sequence[tuple[RecordingFile, Recording]], like: Observation | None = None
+        self, space: ParameterSpace, parts: Sequence[Windows], clock: Sequence[float], like: Observation | None = None
     ) -> Observation:
-        """The recordings as one observation, simulated with the same step as another one where `like` is given."""
-        parts = [self.windows(recording, file) for file, recording in pairs]
-        windows: Windows = joined(parts, [recording.name for _, recording in pairs])
+        """Recordings on one clock as one observation, simulated with the same step as another one, `like`, if given."""
+        windows = joined(parts, [part.recordings[0] for part in parts], clock)
         windows = replace(windows, x0_std=START * windows.x0_std)
         simulator = self.simulator(space, windows, uniform_start=False, stiffest=STIFFEST)
         simulator = replace(simulator, process=NO_DRAWS)
