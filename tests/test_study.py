@@ -22,6 +22,7 @@ from vehicle_sbi.inference.setup import slowest
 from vehicle_sbi.inference.study import Study
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.physics.simulation import fastest_rate
+from vehicle_sbi.physics.single_track import INPUTS
 
 TRUTH = {"l_f": 1.2, "delta_C_alpha_f": 0.1, "delta_C_alpha_r": -0.1}
 BASE: dict[str, Any] = {
@@ -107,6 +108,14 @@ def drive(folder: Path, *, std: float = 0.0, rho: float = 0.0) -> RecordingFile:
     )
     frame.to_csv(folder / "drive.csv", index=False)
     return RecordingFile(path=folder / "drive.csv", drive="speed", channels=("a_y", "yaw_rate"))
+
+
+def test_the_clock_of_a_recording_begins_with_the_first_sample_that_is_used(tmp_path: Path) -> None:
+    file = replace(drive(tmp_path), start_s=2.0)
+    problem = study(recording=file, drive="speed", truth=None, noise=EstimatedNoise()).prepare().problem
+    windows = problem.simulator.windows
+    assert windows.t[0, 0] == pytest.approx(2.0, abs=0.02)
+    assert windows.u[0, 0, INPUTS.index("time")] == 0.0
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from vehicle_sbi.data.manoeuvre import Synthetic
 from vehicle_sbi.data.noise import EstimatedNoise
 from vehicle_sbi.data.readers import RecordingFile
-from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.data.recording import Recording, joined
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import DensityEstimator
 from vehicle_sbi.inference.features import Features
@@ -59,7 +59,7 @@ class Study(Setup):
 
     def _recorded(self, space: ParameterSpace, source: RecordingFile) -> "Prepared":
         recording = source.load()
-        windows = self.windows(recording, source)
+        windows = joined([self.windows(recording, source)], [recording.name])  # whose clock begins with what is used
         simulator = self.simulator(space, windows, uniform_start=False)
         observed = np.where(windows.valid, windows.y, 0.0)
         if isinstance(self.noise, EstimatedNoise) and self.noise.model_residual:
