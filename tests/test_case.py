@@ -165,3 +165,12 @@ def test_what_happens_at_a_moment_does_so_in_the_blocks_that_are_held_out_of_the
         real = np.diff(clock, axis=1, prepend=-np.inf) > 0.0
         np.testing.assert_allclose(clock[real], simulator.windows.t[real] - begun, atol=1e-9)
     assert held.nominal["duration"] == fitted.nominal["duration"]
+
+
+def test_recordings_of_one_name_are_told_apart_by_their_paths(tmp_path: Path) -> None:
+    for folder in ("monday", "tuesday"):
+        (tmp_path / folder).mkdir()
+    files = [written(tmp_path / folder / "drive.csv", k) for k, folder in enumerate(("monday", "tuesday"))]
+    case = diagnosis(files, [written(tmp_path / "c.csv", 2)]).prepare()
+    assert [one.recording for one in own_time(case.observation.simulator, 0.0, np.inf)] == [str(file) for file in files]
+    assert case.held_out_names == ("c",)

@@ -1,5 +1,6 @@
 """What is to be diagnosed: a vehicle, the recordings that it is fitted to, and those that are held out."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -106,7 +107,11 @@ class Diagnosis(Setup):
             raise InputError(f"heldout: {', '.join(sorted(twice))} is also fitted; hold out another recording")
         most = max(sum(len(recording.t) for _, recording in part) for part in (training, held))
         share = MOST_SAMPLES / most
-        kept = [[(file, recording.liveliest(share)) for file, recording in part] for part in (training, held)]
+        names = Counter(recording.name for _, recording in (*training, *held))
+        kept = [
+            [(file, _called(recording.liveliest(share), alone=names[recording.name] == 1)) for file, recording in part]
+            for part in (training, held)
+        ]
         return kept[0], kept[1]
 
     def _files(self, given: Sequence[str | RecordingFile]) -> list[RecordingFile]:
@@ -124,6 +129,11 @@ class Diagnosis(Setup):
         if like is not None:
             simulator = replace(simulator, substeps=max(simulator.substeps, like.simulator.substeps))
         return Observation(simulator, np.where(windows.valid, windows.y, 0.0), isinstance(self.noise, EstimatedNoise))
+
+
+def _called(recording: Recording, *, alone: bool) -> Recording:
+    """The recording by its name, or by its path where another one has that name."""
+    return recording if alone else replace(recording, name=recording.source)
 
 
 def halves(held: Observation) -> tuple[Observation, Observation]:
