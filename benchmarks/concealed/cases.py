@@ -37,18 +37,19 @@ def conceal(seed: int, wanted: Slot) -> Built:
         if built is not None and worth >= 1.0:
             return built
         short.append((worth, -k))
-    worth, k = max(short)
-    for target in [value for value in SNRS[::-1] if value < wanted.snr and value <= worth * wanted.snr] or [wanted.snr]:
-        built, _ = _conceal(seed, wanted, -k, target, anyway=True)
-        if built is not None:
-            return built
+    for worth, k in sorted(short, reverse=True):
+        within = [value for value in SNRS[::-1] if value < wanted.snr and value <= worth * wanted.snr]
+        for target in within or [wanted.snr]:
+            built, _ = _attempted(seed, wanted, -k, target, anyway=True)
+            if built is not None:
+                return built
     raise RuntimeError(f"case {wanted.index}: no attempt lets {wanted} be driven")
 
 
-def _attempted(seed: int, wanted: Slot, k: int, target: float) -> tuple[Built | None, float]:
+def _attempted(seed: int, wanted: Slot, k: int, target: float, *, anyway: bool = False) -> tuple[Built | None, float]:
     """Attempt k; worth nothing where the car spins out on the way, and so has no derivatives."""
     try:
-        return _conceal(seed, wanted, k, target)
+        return _conceal(seed, wanted, k, target, anyway=anyway)
     except np.linalg.LinAlgError:
         return None, 0.0
 
