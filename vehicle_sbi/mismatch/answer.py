@@ -5,8 +5,9 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from vehicle_sbi.mismatch.candidates import SPAN
 from vehicle_sbi.mismatch.latent import Latent
-from vehicle_sbi.mismatch.locate import Stretch
+from vehicle_sbi.mismatch.locate import Stretch, spoken
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,16 @@ class Named:
     parameters: dict[str, Estimate]
     foretold: float | None
     acts: dict[str, list[Stretch]]
+
+    @property
+    def sizes(self) -> dict[str, Estimate]:
+        """The parameters, but for those that say when an effect acts."""
+        return {name: e for name, e in self.parameters.items() if name.split(".")[-1] not in SPAN}
+
+    @property
+    def acting(self) -> list[str]:
+        """When its effects act that are tied to the clock, in words."""
+        return [f"{name} acts {spoken(within)}" for name, within in self.acts.items()]
 
 
 @dataclass(frozen=True)

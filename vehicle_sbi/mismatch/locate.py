@@ -17,11 +17,13 @@ from vehicle_sbi.physics.single_track import INPUTS
 BLOCKS = 12  # stretches of time that overlap by half
 LEAST_S = 0.5  # [s], the shortest of them
 BUSY = 0.3  # share of samples that a regime takes up: the most extreme of a quantity
+UNITS = {"|steering|": "rad", "steering rate": "rad/s", "|a_y|": "m/s^2", "speed": "m/s", "torque": "N m"}
 
 
 @dataclass(frozen=True)
 class Block:
-    """A place where simulation and recording may differ; times [s] are those of the recordings, one after another."""
+    """A place where simulation and recording may differ; times [s] are those of the recordings, one after another, and
+    the regime reads "speed above 20 m/s" or "in proportion to speed"."""
 
     channel: str
     from_s: float
@@ -112,8 +114,8 @@ def blocks(
         limit = np.quantile(signal, 1.0 - BUSY)
         for i, channel in enumerate(channels):
             for regime, shape in (
-                (f"{name} above {limit:.2g}", signal > limit),
-                (name, y[i] * (signal - signal.mean())),
+                (f"{name} above {limit:.2g} {UNITS[name]}", signal > limit),
+                (f"in proportion to {name}", y[i] * (signal - signal.mean())),
             ):
                 rows.append(Block(channel, float(t.min()), float(t.max()), regime))
                 bumps.append(shape.astype(float))

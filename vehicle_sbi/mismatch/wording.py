@@ -71,9 +71,8 @@ def _answer(explanation: Explanation, found: Sequence[Named], unknown: Unknown |
             f"remains in {left.channel} {_when(left.regime, within)}"
         )
     meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
-    sizes = "; ".join(size for name in best.effects for size in _sizes(name, best.parameters))
-    acting = "".join(f" {name} acts {spoken(within)}." for name, within in best.acts.items())
-    return f"{said}: {meaning} ({sizes}).{acting}"
+    sizes = "; ".join(size for name in best.effects for size in _sizes(name, best.sizes))
+    return " ".join([f"{said}: {meaning} ({sizes}).", *(f"{acts}." for acts in best.acting)])
 
 
 def _sizes(effect: str, own: Mapping[str, Estimate]) -> list[str]:
@@ -100,4 +99,5 @@ def _limits(seen: Card) -> str:
 
 
 def _when(regime: str, within: Sequence[Stretch]) -> str:
-    return f"where {regime}" if regime else spoken(within)
+    """The regime in words, or the time."""
+    return (f"where {regime.replace(' above ', ' is above ')}" if " above " in regime else regime) or spoken(within)

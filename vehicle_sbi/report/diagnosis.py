@@ -160,7 +160,7 @@ def _explanations(answer: Verdict) -> pd.DataFrame:
             "probability": f"{one.probability:.3f}",
             "with something unknown": f"{one.beside_unknown:.3f}",
             "held out": "" if one.foretold is None else f"{one.foretold:+.1f}",
-            "size": "; ".join(quantity(name, e) for name, e in one.parameters.items()),
+            "size": "; ".join([*(quantity(name, e) for name, e in one.sizes.items()), *one.acting]),
         }
         for one in answer.explanations
         if one.probability + one.beside_unknown >= 0.001
