@@ -35,16 +35,24 @@ def test_the_band_covers_what_it_says_where_the_model_is_right(models: dict[str,
 def test_modelling_what_is_missing_gains_on_another_drive(models: dict[str, Model]) -> None:
     held = recorded(lateral(), seed=9, body_roll__gradient=0.012)
     base, better = (predict(models[name], held, apart=True) for name in ("base", "body_roll"))
-    assert gain(base, better, 50.0).certain
+    assert gain(base, better).certain
     assert better.nrmse["a_y"] < base.nrmse["a_y"]
 
 
-def test_the_log_score_is_that_of_independent_normal_noise() -> None:
-    observation = replace(recorded(lateral()), estimated=False)
-    fit, held = fitted(observation), recorded(lateral(), seed=9)
-    z = (held.observed - fit.at.y) / fit.simulator.noise.floor[:, None]
-    expected = np.mean(-0.5 * z**2 - np.log(fit.simulator.noise.floor)[:, None]) - 0.5 * np.log(2 * np.pi)
-    assert predict(Model((), fit, 0.0), held, apart=True).mean_log_score == pytest.approx(expected, rel=1e-9)
+def test_log_scores_of_blocks_are_those_of_a_normal_with_noise_and_parameters_in_its_covariance() -> None:
+    # White noise; blocks of two seconds, each given the ones before it, so the sums are those of all up to one.
+    fit, held = fitted(replace(recorded(lateral()), estimated=False)), recorded(lateral(), seed=9)
+    found = predict(Model((), fit, 0.0), held, apart=True)
+    std, root = fit.simulator.noise.floor, np.linalg.cholesky(fit.covariance)
+    J = np.tensordot(root.T / fit.simulator.space.prior_std, fit.at.J, axes=1)
+    for blocks in (1, 3, 5):
+        r = (held.observed - fit.at.y)[:, : 100 * blocks].ravel()
+        rows = J[..., : 100 * blocks].reshape(len(J), -1)
+        covariance = np.diag(np.repeat(std**2, 100 * blocks)) + rows.T @ rows
+        _, log_det = np.linalg.slogdet(2.0 * np.pi * covariance)
+        expected = -0.5 * r @ np.linalg.solve(covariance, r) - 0.5 * log_det
+        assert found.log_score[:blocks].sum() == pytest.approx(expected, rel=1e-9)
+    assert found.mean_log_score == pytest.approx(found.log_score.sum() / 1500.0)
 
 
 def test_what_happened_at_a_moment_of_one_drive_did_not_happen_in_another(models: dict[str, Model]) -> None:
@@ -57,11 +65,10 @@ def test_what_happened_at_a_moment_of_one_drive_did_not_happen_in_another(models
 
 
 def test_a_gain_is_the_mean_difference_and_its_error_that_of_blocks() -> None:
-    score = np.zeros((1, 400))
-    better = score + np.repeat([1.0, 3.0, 1.0, 3.0], 100)
-    one = Prediction({}, 0.9, score, score, score, 400)
-    other = Prediction({}, 0.9, better, better, better, 400)
-    found = gain(one, other, 50.0)  # four blocks of two seconds
+    series, score = np.zeros((1, 400)), np.zeros(4)
+    one = Prediction({}, 0.9, score, series, series, 400)
+    other = Prediction({}, 0.9, score + 100.0 * np.array([1.0, 3.0, 1.0, 3.0]), series, series, 400)
+    found = gain(one, other)
     assert found.mean == pytest.approx(2.0)
     assert found.std == pytest.approx(np.std([1, 3, 1, 3], ddof=1) / 2)
     assert found.low < found.mean

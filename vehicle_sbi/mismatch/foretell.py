@@ -48,7 +48,7 @@ def foretold(model: Model, observation: Observation, *, apart: bool) -> Foretold
     there = elsewhere(model, observation, apart=apart)
     if not np.isfinite(there.at.y[there.simulator.windows.valid]).all():
         return None
-    changes = _in_std(model.fit, there.at.J)
+    changes = in_std(model.fit, there.at.J)
     if isinstance(model.outside, Loose):
         changes = np.concatenate([changes, model.outside.rows(there)])
     J = there.metric(changes).reshape(len(changes), -1)
@@ -88,7 +88,7 @@ def _for(simulator: Simulator, fit: Fit):
     return replace(fit.simulator.noise, window=simulator.windows.t.shape[1])
 
 
-def _in_std(fit: Fit, J: Float[np.ndarray, "d channels time"]) -> Float[np.ndarray, "d channels time"]:
+def in_std(fit: Fit, J: Float[np.ndarray, "d channels time"]) -> Float[np.ndarray, "d channels time"]:
     """Derivatives by parameters in units of the prior's spread, as those by a standard deviation of the posterior."""
     spread = fit.simulator.space.prior_std
     root = np.linalg.cholesky(fit.covariance / np.outer(spread, spread))

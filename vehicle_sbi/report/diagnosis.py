@@ -96,7 +96,7 @@ def proved(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gain 
     if model is found.base.model:
         return {"base": base}, None
     extended = predict(model, case.held_out, apart=case.apart)
-    return {"base": base, "extended": extended}, gain(base, extended, case.held_out.simulator.windows.rate)
+    return {"base": base, "extended": extended}, gain(base, extended)
 
 
 def _kept(folder: RunFolder, name: str, compute: Callable[[], Result], bar: tqdm) -> Result:
