@@ -250,16 +250,19 @@ def descend(observation: Observation, start: Float[np.ndarray, " d"], steps: int
 def likeliest(
     observation: Observation, starts: Sequence[Float[np.ndarray, " d"]], steps: int = MOST_STEPS
 ) -> Fit | None:
-    """The best optimum that Gauss-Newton finds from some starts, or from there at other times, if that is likelier.
+    """The best optimum that Gauss-Newton finds from some starts, each of them at other times too, if that is likelier.
 
     A series that is linear between samples has a kink in its derivative by a dead time at every whole sample, and a
     rough one (acceleration from a measured speed) an optimum near each. Something that begins and ends has one near
     each place in the recording that it may begin or end at.
     """
-    found = [fit for start in starts if (fit := descend(observation, start, steps)) is not None]
-    if not found:
-        return None
-    fit, names = max(found, key=lambda fit: fit.log_likelihood), observation.simulator.space.names
+    fits = [fit for start in starts if (fit := descend(observation, start, steps)) is not None]
+    return max((_in_time(fit, steps) for fit in fits), key=lambda fit: fit.log_likelihood, default=None)
+
+
+def _in_time(fit: Fit, steps: int) -> Fit:
+    """The optimum with what is late, and what begins and ends, at the best of many times."""
+    names = fit.simulator.space.names
     for k, name in enumerate(names):
         lasts = name.replace(".start", ".duration")
         if name in DEAD_TIMES:
