@@ -128,7 +128,7 @@ def with_recording(arguments: Sequence[str]) -> list[str]:
     """`recordings=[A,…]` chooses `recording=A` too, unless the user does: its settings are how all are read."""
     chosen = any(argument.startswith("recording=") for argument in arguments)
     for argument in arguments:
-        first = re.fullmatch(r"recordings=\[\s*['\"]?([^,'\"\]]+).*\]", argument)
+        first = re.fullmatch(r"recordings=\[?\s*['\"]?([^,'\"\[\]]+).*", argument)
         if first and not chosen:
             return [*arguments, f"recording={first[1].strip()}"]
     return list(arguments)
@@ -137,8 +137,10 @@ def with_recording(arguments: Sequence[str]) -> list[str]:
 def named_recordings(cfg: DictConfig) -> DictConfig:
     """The configuration with names in `recordings` and `heldout` replaced by what conf/recording has for them.
 
-    Raises InputError for a name that is not there, or one of another vehicle than `recording`'s.
+    Raises InputError where there is none, for a name that is not there, or one of another vehicle than `recording`'s.
     """
+    if not cfg.recordings and OmegaConf.is_missing(cfg.recording, "path"):
+        raise InputError("recordings: none is given; recordings=[drive.csv,...], or a name that conf/recording has")
     configured = {file.stem: file for file in (CONF / "recording").glob("*.yaml")}
     chosen = HydraConfig.get().runtime.choices
 
@@ -158,7 +160,7 @@ def named_recordings(cfg: DictConfig) -> DictConfig:
         return OmegaConf.to_container(node.recording, resolve=True)
 
     for where in ("recordings", "heldout"):
-        entries = typing.cast(list[str], OmegaConf.to_container(cfg[where]))
+        entries = [cfg[where]] if isinstance(cfg[where], str) else typing.cast(list[str], list(cfg[where] or []))
         cfg[where] = [resolved(str(entry), where) for entry in entries]
     return cfg
 

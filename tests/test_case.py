@@ -15,8 +15,9 @@ from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import CHANNELS, Recording, joined, unheld
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.belief import Belief
+from vehicle_sbi.mismatch.candidates import longest
 from vehicle_sbi.mismatch.case import Diagnosis
-from vehicle_sbi.mismatch.locate import own_time
+from vehicle_sbi.mismatch.locate import Block, held, own_time, stretches
 from vehicle_sbi.physics.single_track import INPUTS
 
 PRIOR = {"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3], "delta_C_alpha_r": [-0.3, 0.3]}
@@ -174,3 +175,37 @@ def test_recordings_of_one_name_are_told_apart_by_their_paths(tmp_path: Path) ->
     case = diagnosis(files, [written(tmp_path / "c.csv", 2)]).prepare()
     assert [one.recording for one in own_time(case.observation.simulator, 0.0, np.inf)] == [str(file) for file in files]
     assert case.held_out_names == ("c",)
+
+
+def test_the_same_data_counts_once_whatever_its_file_is_called(tmp_path: Path) -> None:
+    a = written(tmp_path / "a.csv", 0)
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes(a.read_bytes())
+    with pytest.raises(InputError, match="is also fitted"):
+        diagnosis([a], [copy]).prepare()
+    with pytest.raises(InputError, match="would count twice"):
+        diagnosis([a, copy]).prepare()
+
+
+def test_of_consecutive_files_the_longest_is_one_of_them(tmp_path: Path) -> None:
+    a, b = written(tmp_path / "a.csv", 0), pd.read_csv(written(tmp_path / "b.csv", 1))
+    b["time_s"] += 3600.0  # an hour later
+    b.to_csv(tmp_path / "b.csv", index=False)
+    simulator = diagnosis([a, tmp_path / "b.csv"], [written(tmp_path / "c.csv", 2)]).prepare().observation.simulator
+    assert longest(simulator) == pytest.approx(10.0, abs=0.1)
+
+
+def test_a_short_recording_loses_no_more_than_what_is_held_out_and_the_buffers(tmp_path: Path) -> None:
+    # Ten seconds in blocks of 2.5 s, one of which is held out with a second's buffer on either side.
+    windows = diagnosis([written(tmp_path / "a.csv", 0)]).prepare().observation.simulator.windows
+    real = np.diff(windows.u[..., INPUTS.index("time")], axis=1, prepend=-np.inf) > 0.0
+    assert real.sum() / windows.rate == pytest.approx(10.0 - 2.5 - 2.0, abs=0.1)
+
+
+def test_a_place_is_not_in_a_recording_that_only_its_fading_end_reaches_into(tmp_path: Path) -> None:
+    files = [written(tmp_path / name, k) for k, name in enumerate(("a.csv", "b.csv"))]
+    simulator = diagnosis(files, [written(tmp_path / "c.csv", 2)]).prepare().observation.simulator
+    (start, stop), *_ = stretches(simulator)
+    over = Block("a_y", 9.5, 9.5 + (stop - start))
+    assert [one.recording for one in own_time(simulator, over.from_s, over.to_s)] == ["a", "b"]
+    assert [one.recording for one in held(simulator, over)] == ["b"]

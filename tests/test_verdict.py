@@ -14,7 +14,9 @@ from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.reinfer import Reinference
+from vehicle_sbi.mismatch.separability import card
 from vehicle_sbi.mismatch.verdict import estimates, exchangeable
+from vehicle_sbi.mismatch.wording import sentence
 
 AGAIN = Reinference(
     features=Score(),
@@ -92,3 +94,14 @@ def test_nothing_is_inferred_where_nothing_is_missing(tmp_path: Path) -> None:
     assert not found.detected
     assert AGAIN.of(found, tmp_path) is found
     assert not any(tmp_path.iterdir())
+
+
+def test_held_out_data_that_is_unlike_what_is_fitted_is_spoken_of_where_nothing_is_found() -> None:
+    base = fitted(recorded(lateral()))
+    known = [d for d in left_out(base.simulator, base.theta) if d.effect == "body_roll"]
+    found = explain(base, known, rng=np.random.default_rng(0))
+    assert not found.detected
+    seen = card(base.simulator, base.theta, known)
+    usual, strange = (sentence(found, [], [], [], None, None, seen, covered) for covered in (0.9, 0.57))
+    assert strange.startswith(usual)
+    assert "57% of it" in strange.removeprefix(usual)

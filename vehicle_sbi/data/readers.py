@@ -190,8 +190,8 @@ class RecordingFile:
         inside = clocks[0][(clocks[0] >= start - 1e-6) & (clocks[0] <= stop + 1e-6)]
         if len(inside) < 2:
             raise InputError(
-                f"{self.path}: holds no samples from {start:g} to {stop:g} s; "
-                f"its files hold {', '.join(f'{low:g} to {high:g} s' for low, high in {(t[0], t[-1]) for t in clocks})}"
+                f"{self.path}: holds no samples from {start:.12g} to {stop:.12g} s; "
+                f"its files hold {', '.join(f'{low:.12g} to {high:.12g} s' for low, high in {(t[0], t[-1]) for t in clocks})}"
             )
         if not uniform or rate != own or any(not np.array_equal(t, clocks[0]) for t in clocks):
             spread = f"{1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
@@ -251,7 +251,7 @@ def _clock(table: Table, name: str, unit: str, notes: list[str]) -> Float[np.nda
     if len(back):
         what = "repeats the time of" if steps[back[0]] == 0.0 else "lies before"
         row = back[0] + 1 + table.first_row
-        raise InputError(f"{table.path}: row {row}, column '{name}': {t[back[0] + 1]:.6g} s {what} the row above")
+        raise InputError(f"{table.path}: row {row}, column '{name}': {t[back[0] + 1]:.12g} s {what} the row above")
     if steps[-1] > max(1.0, 20.0 * float(np.median(steps))):
         notes.append(f"{table.path.name}: the last row, {steps[-1]:.2f} s after the one before, dropped")
         t = t[:-1]

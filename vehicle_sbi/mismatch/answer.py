@@ -56,7 +56,15 @@ class Named:
     @property
     def acting(self) -> list[str]:
         """When its effects act that are tied to the clock, in words."""
-        return [f"{name} acts {spoken(within)}" for name, within in self.acts.items()]
+        at = {name: spoken(within) for name, within in self.acts.items() if within}
+        return [f"{name} acts {when}{self._give_or_take(name)}" for name, when in at.items()]
+
+    def _give_or_take(self, effect: str) -> str:
+        """How uncertain it is when an effect begins, and how long it lasts."""
+        begun, lasting = (self.parameters.get(f"{effect}.{key}") for key in SPAN)
+        if begun is None or lasting is None:
+            return ""
+        return f" (it begins ± {begun.std:.2g} s and lasts ± {lasting.std:.2g} s)"
 
 
 @dataclass(frozen=True)

@@ -97,9 +97,9 @@ def extent(simulator: Simulator) -> float:
 
 def longest(simulator: Simulator) -> float:
     """How long the longest of the recordings lasts [s]."""
-    t = simulator.windows.t
-    starts_anew = 1 + np.flatnonzero(np.diff(t[:, 0]) < 0.0)
-    return max(float(np.ptp(part)) for part in np.split(t, starts_anew))
+    windows = simulator.windows
+    names = np.array(windows.recordings or ("",) * len(windows.t))
+    return max(float(np.ptp(windows.t[names == name])) for name in set(names))
 
 
 def within(simulator: Simulator, effect: Effect) -> Effect:

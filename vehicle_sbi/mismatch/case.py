@@ -62,24 +62,18 @@ class Diagnosis(Setup):
         _check_nulls(space)
         training, held = self._read()
         inputs = {recording.source: recording.sha256 for _, recording in (*training, *held)}
+        cut = replace(self, window_s=self._window_s(training, held))
         names = tuple(recording.name for _, recording in held)
-        seconds = sum(recording.present_s for _, recording in (*training, *held))
-        longer = replace(self, window_s=max(self.window_s, seconds / MOST_WINDOWS))
         if not held:
-            parts = [
-                (file, recording.holdout(share=HELD_OUT, block_s=max(BLOCK_S, longer.window_s)))
-                for file, recording in training
-            ]
-            training = [(file, kept) for file, (kept, _) in parts]
-            held = [(file, out) for file, (_, out) in parts]
+            training, held = cut.blocks(training)
             names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
-        parts, others = ([longer.windows(recording, file) for file, recording in part] for part in (training, held))
+        parts, others = ([cut.windows(recording, file) for file, recording in part] for part in (training, held))
         clock = one_after_another(parts)
-        observation = longer.observe(space, parts, clock)
+        observation = cut.observe(space, parts, clock)
         if self.heldout:
-            held_out = longer.observe(space, others, one_after_another(others), like=observation)
+            held_out = cut.observe(space, others, one_after_another(others), like=observation)
         else:  # other times of the same recordings
-            held_out = longer.observe(space, others, clock, like=observation)
+            held_out = cut.observe(space, others, clock, like=observation)
             held_out = held_out.extended(replace(held_out.simulator, nominal=observation.simulator.nominal))
         naming, proving = halves(held_out)
         if not (self.heldout and naming.anything and proving.anything):
@@ -96,15 +90,28 @@ class Diagnosis(Setup):
             belief=self.belief,
         )
 
+    def _window_s(self, training: Read, held: Read) -> float:
+        """The length of windows [s] that is asked for; longer where there would be too many of them, no longer than the
+        blocks that are held out where no recording is."""
+        if not self.window_s > self.warmup_s:
+            raise InputError(f"window_s = {self.window_s:g}; it must be longer than warmup_s = {self.warmup_s:g}")
+        seconds = sum(recording.present_s for _, recording in (*training, *held))
+        shortest = min(recording.present_s for _, recording in training)
+        return max(self.window_s if held else min(self.window_s, HELD_OUT * shortest), seconds / MOST_WINDOWS)
+
+    def blocks(self, training: Read) -> tuple[Read, Read]:
+        """Recordings with blocks of their time held out, and those blocks."""
+        block_s = max(BLOCK_S, self.window_s)
+        parts = [(file, recording.holdout(share=HELD_OUT, block_s=block_s)) for file, recording in training]
+        return [(file, kept) for file, (kept, _) in parts], [(file, out) for file, (_, out) in parts]
+
     def _read(self) -> tuple[Read, Read]:
         """Recordings to fit and to hold out with the files that they come from, as much of them as fits in memory."""
         training, held = (
             [(file, file.load()) for file in self._files(given)]
             for given in (self.recordings or [self.recording], self.heldout)
         )
-        twice = {recording.source for _, recording in held} & {recording.source for _, recording in training}
-        if twice:
-            raise InputError(f"heldout: {', '.join(sorted(twice))} is also fitted; hold out another recording")
+        _check_once(training, held)
         most = max(sum(len(recording.t) for _, recording in part) for part in (training, held))
         share = MOST_SAMPLES / most
         names = Counter(recording.name for _, recording in (*training, *held))
@@ -129,6 +136,18 @@ class Diagnosis(Setup):
         if like is not None:
             simulator = replace(simulator, substeps=max(simulator.substeps, like.simulator.substeps))
         return Observation(simulator, np.where(windows.valid, windows.y, 0.0), isinstance(self.noise, EstimatedNoise))
+
+
+def _check_once(training: Read, held: Read) -> None:
+    """InputError for data that is given twice, whatever its file is called."""
+    fitted, apart = ([recording for _, recording in part] for part in (training, held))
+    hashes = Counter(recording.sha256 for recording in fitted)
+    for where, recordings, known, why in (
+        ("heldout", apart, hashes, "is also fitted; hold out another recording"),
+        ("recordings", fitted, [k for k, n in hashes.items() if n > 1], "would count twice: it is the same data"),
+    ):
+        if twice := sorted({one.source for one in recordings if one.sha256 in known}):
+            raise InputError(f"{where}: {', '.join(twice)} {why}")
 
 
 def _called(recording: Recording, *, alone: bool) -> Recording:

@@ -64,6 +64,13 @@ def own_time(simulator: Simulator, from_s: float, to_s: float) -> list[Stretch]:
     return [*found.values()]
 
 
+def held(simulator: Simulator, block: Block) -> list[Stretch]:
+    """The recordings that a block lies in, without one that it reaches into with its fading end alone."""
+    (start, stop), *_ = stretches(simulator)
+    within = own_time(simulator, block.from_s, block.to_s)
+    return [one for one in within if one.to_s - one.from_s >= (stop - start) / 2] or within
+
+
 def spoken(within: Sequence[Stretch]) -> str:
     """Stretches of recordings in words."""
     return " and ".join(f"from {one.from_s:.1f} to {one.to_s:.1f} s of {one.recording}" for one in within)

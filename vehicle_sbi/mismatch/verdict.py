@@ -20,7 +20,7 @@ from vehicle_sbi.mismatch.gate import Gate
 from vehicle_sbi.mismatch.improve import Gain, Prediction
 from vehicle_sbi.mismatch.latent import what_it_takes
 from vehicle_sbi.mismatch.laws import Law
-from vehicle_sbi.mismatch.locate import Stretch, merged, own_time
+from vehicle_sbi.mismatch.locate import Stretch, held, merged, own_time
 from vehicle_sbi.mismatch.loose import Loose
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.mismatch.wording import SPOKEN_OF, sentence
@@ -61,11 +61,9 @@ def places(explanation: Explanation) -> list[Place]:
     smallest = {place: min(float(p[k]) for k in significant if place.holds(free.blocks[k])) for place, _ in whole}
     simulator = explanation.base.model.fit.simulator
     return [
-        Place(
-            b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime, own_time(simulator, b.from_s, b.to_s)
-        )
+        Place(b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime, held(simulator, b))
         for b, energy in whole
-    ]  # fmt: skip
+    ]
 
 
 def _named(explanation: Explanation, k: int) -> Named:
@@ -81,13 +79,16 @@ def _named(explanation: Explanation, k: int) -> Named:
 
 
 def _acts(model: Model, own: Mapping[str, Estimate]) -> dict[str, list[Stretch]]:
-    """When each effect that is tied to the clock acts: a profile throughout, what comes and goes when it does on
-    average."""
-    found = dict[str, list[Stretch]]()
+    """When each effect that is tied to the clock acts: a profile throughout, what comes and goes from the median of
+    when it begins to that of when it ends."""
+    space, found = model.fit.simulator.space, dict[str, list[Stretch]]()
+    draws = model.fit.theta[None] if model.posterior is None else model.posterior
     for effect in (name for name in model.effects if CATALOGUE[name].timed):
-        begun, lasting = (own.get(f"{effect}.{key}") for key in SPAN)
-        start = 0.0 if begun is None else begun.mean
-        found[effect] = own_time(model.fit.simulator, start, np.inf if lasting is None else start + lasting.mean)
+        start, stop = 0.0, np.inf
+        if all(f"{effect}.{key}" in own for key in SPAN):
+            begun, lasting = (draws[:, space.column(f"{effect}.{key}")] for key in SPAN)
+            start, stop = float(np.median(begun)), float(np.median(begun + lasting))
+        found[effect] = own_time(model.fit.simulator, start, stop)
     return found
 
 
@@ -104,6 +105,7 @@ def verdict(
     before, after = (estimates(one, explanation.temper) for one in (explanation.base.model, model))
     together = explanation.indistinguishable() if explanation.detected else []
     unknown = _unknown(explanation) if explanation.p_unknown > SPOKEN_OF else None
+    covered = predictions["base"].coverage90
     fit: dict[str, object] = {"heldout": list(case.held_out_names)}
     fit |= {name: asdict(Score(p.nrmse, p.mean_log_score, p.coverage90)) for name, p in predictions.items()}
     if gained is not None:
@@ -129,7 +131,7 @@ def verdict(
             for name in before
         },
         notes=[*passed.notes, *_rim(explanation.base.model.fit), *_doubts(explanation), *case.notes],
-        sentence=sentence(explanation, found, mismatch, together, unknown, gained, seen),
+        sentence=sentence(explanation, found, mismatch, together, unknown, gained, seen, covered),
     )
 
 

@@ -5,12 +5,13 @@ from collections.abc import Mapping, Sequence
 from vehicle_sbi.mismatch.answer import Estimate, Named, Place, Unknown, listed, quantity
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.improve import Gain
-from vehicle_sbi.mismatch.locate import Stretch, own_time, spoken
+from vehicle_sbi.mismatch.locate import Stretch, held, spoken
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.physics.effects import CATALOGUE
 
 SPELLED_OUT = 5  # parameters of an effect at most
 ALTERNATIVES = 5  # explanations that are named beside the likeliest one
+HARDLY_COVERED = 0.75  # share of the 90 % band, below which what was held out is not what the model predicts
 SPOKEN_OF = 0.2  # probability from which effects, and something unknown, are spoken of
 
 
@@ -22,13 +23,16 @@ def sentence(
     unknown: Unknown | None,
     gained: Gain | None,
     seen: Card,
+    covered: float,
 ) -> str:
-    """The diagnosis in a few sentences, for people."""
+    """The diagnosis in a few sentences, for people; `covered` is the share of what was held out that lies in the base
+    model's 90 % band."""
     if not explanation.detected:
-        return (
+        said = (
             f"Nothing is missing as far as these recordings can tell (p = {explanation.p_value:.2g}): "
             f"what is left over looks like noise. {_limits(seen)}"
         )
+        return said if covered >= HARDLY_COVERED else f"{said} {_unlike(covered)}"
     said = [_difference(explanation.p_value, mismatch), _answer(explanation, found, unknown)]
     if unknown is not None and unknown.sentence:
         said.append(unknown.sentence)
@@ -64,7 +68,7 @@ def _answer(explanation: Explanation, found: Sequence[Named], unknown: Unknown |
         said = f"Something outside the catalogue explains it with probability {explanation.p_unknown:.2f}; {nearest}"
     else:
         left, examined = explanation.best.largest_block, explanation.best.model.effects == best.effects
-        within = own_time(explanation.best.model.fit.simulator, left.from_s, left.to_s)
+        within = held(explanation.best.model.fit.simulator, left)
         share = f"{explanation.best.share_explained:.0%} at most" if examined else "a part of it"
         said = (
             f"No known effect explains all of it: {named} {verb} {share}, and something unknown "
@@ -88,6 +92,14 @@ def _whatever_else(single: Mapping[str, float]) -> str:
     """How probable each effect is over all sets that hold it; the likeliest one and those that are at all likely."""
     likely = [f"{name} {p:.2f}" for k, (name, p) in enumerate(single.items()) if k == 0 or p > SPOKEN_OF]
     return f"Whatever else is missing, the probability that an effect is: {', '.join(likely[:ALTERNATIVES])}."
+
+
+def _unlike(covered: float) -> str:
+    """That what was held out, where nothing is looked for, is not what the base model predicts."""
+    return (
+        f"But what was held out, where nothing is searched for, is unlike it: {covered:.0%} of it lies in the 90 % "
+        "band. Hold out another recording, and it will be searched."
+    )
 
 
 def _limits(seen: Card) -> str:
