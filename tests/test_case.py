@@ -17,7 +17,7 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.candidates import longest
 from vehicle_sbi.mismatch.case import Diagnosis
-from vehicle_sbi.mismatch.locate import Block, held, own_time, stretches
+from vehicle_sbi.mismatch.locate import Block, lies_in, own_time, stretches
 from vehicle_sbi.physics.single_track import INPUTS
 
 PRIOR = {"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3], "delta_C_alpha_r": [-0.3, 0.3]}
@@ -208,4 +208,4 @@ def test_a_place_is_not_in_a_recording_that_only_its_fading_end_reaches_into(tmp
     (start, stop), *_ = stretches(simulator)
     over = Block("a_y", 9.5, 9.5 + (stop - start))
     assert [one.recording for one in own_time(simulator, over.from_s, over.to_s)] == ["a", "b"]
-    assert [one.recording for one in held(simulator, over)] == ["b"]
+    assert [one.recording for one in lies_in(simulator, over)] == ["b"]

@@ -64,7 +64,7 @@ def own_time(simulator: Simulator, from_s: float, to_s: float) -> list[Stretch]:
     return [*found.values()]
 
 
-def held(simulator: Simulator, block: Block) -> list[Stretch]:
+def lies_in(simulator: Simulator, block: Block) -> list[Stretch]:
     """The recordings that a block lies in, without one that it reaches into with its fading end alone."""
     (start, stop), *_ = stretches(simulator)
     within = own_time(simulator, block.from_s, block.to_s)

@@ -20,7 +20,7 @@ from vehicle_sbi.mismatch.gate import Gate
 from vehicle_sbi.mismatch.improve import Gain, Prediction
 from vehicle_sbi.mismatch.latent import what_it_takes
 from vehicle_sbi.mismatch.laws import Law
-from vehicle_sbi.mismatch.locate import Stretch, held, merged, own_time
+from vehicle_sbi.mismatch.locate import Stretch, lies_in, merged, own_time
 from vehicle_sbi.mismatch.loose import Loose
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.mismatch.wording import SPOKEN_OF, sentence
@@ -61,7 +61,7 @@ def places(explanation: Explanation) -> list[Place]:
     smallest = {place: min(float(p[k]) for k in significant if place.holds(free.blocks[k])) for place, _ in whole}
     simulator = explanation.base.model.fit.simulator
     return [
-        Place(b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime, held(simulator, b))
+        Place(b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime, lies_in(simulator, b))
         for b, energy in whole
     ]
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from vehicle_sbi.mismatch.answer import Estimate, Named, Place, Unknown, listed, quantity
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.improve import Gain
-from vehicle_sbi.mismatch.locate import Stretch, held, spoken
+from vehicle_sbi.mismatch.locate import Stretch, lies_in, spoken
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -68,7 +68,7 @@ def _answer(explanation: Explanation, found: Sequence[Named], unknown: Unknown |
         said = f"Something outside the catalogue explains it with probability {explanation.p_unknown:.2f}; {nearest}"
     else:
         left, examined = explanation.best.largest_block, explanation.best.model.effects == best.effects
-        within = held(explanation.best.model.fit.simulator, left)
+        within = lies_in(explanation.best.model.fit.simulator, left)
         share = f"{explanation.best.share_explained:.0%} at most" if examined else "a part of it"
         said = (
             f"No known effect explains all of it: {named} {verb} {share}, and something unknown "
