@@ -189,9 +189,9 @@ class RecordingFile:
         stop = min([t[-1] for t in clocks] + ([] if self.stop_s is None else [self.stop_s]))
         inside = clocks[0][(clocks[0] >= start - 1e-6) & (clocks[0] <= stop + 1e-6)]
         if len(inside) < 2:
+            spans = ", ".join(f"{low:.12g} to {high:.12g} s" for low, high in {(t[0], t[-1]) for t in clocks})
             raise InputError(
-                f"{self.path}: holds no samples from {start:.12g} to {stop:.12g} s; "
-                f"its files hold {', '.join(f'{low:.12g} to {high:.12g} s' for low, high in {(t[0], t[-1]) for t in clocks})}"
+                f"{self.path}: holds no samples from {start:.12g} to {stop:.12g} s; its files hold {spans}"
             )
         if not uniform or rate != own or any(not np.array_equal(t, clocks[0]) for t in clocks):
             spread = f"{1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
