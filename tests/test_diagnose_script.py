@@ -108,7 +108,7 @@ def test_a_diagnosis_that_was_interrupted_goes_on(run: Path, tmp_path: Path) -> 
             "excludes 1, where the effect vanishes",
         ),
         (["recordings=[{files}/a.csv]", "heldout=[dart_sine_steering]"], "is of vehicle dart"),
-        (["recordings=[{files}/a.csv]", "window_s=0.4"], "windows of 0.4 s need a warm-up shorter than that"),
+        (["recordings=[{files}/a.csv]", "window_s=0.4"], "window_s = 0.4; it must be longer than warmup_s = 0.5"),
     ],
 )
 def test_a_wrong_value_gets_one_line(files: Path, tmp_path: Path, arguments: list[str], line: str) -> None:
