@@ -164,7 +164,8 @@ def full_vehicle(p: Any, delta: np.ndarray, **effects: float) -> dict[str, np.nd
     substeps = substeps_for(record, "torque", 3.0, RATE, model="full_vehicle")
     none, start = (np.zeros((1, 1, 4)), np.zeros((1, 1, 2))), np.array([[[SPEED, 0.0, 0.0]]])
     rows, groups = np.arange(len(MEASUREMENTS)), np.full(len(MEASUREMENTS), GROUPS.index("imu"))
-    batch_simulator("full_vehicle")(record, DRIVES["torque"], u, *none, RATE, substeps, start, rows, groups, y, outcome)
+    driven = DRIVES["torque"], GROUPS.index("can"), u
+    batch_simulator("full_vehicle")(record, *driven, *none, RATE, substeps, start, rows, groups, y, outcome)
     assert outcome[0] == FINISHED
     return {name: y[0, MEASUREMENTS.index(name)] for name in CHANNELS}
 

@@ -100,7 +100,9 @@ def contend(name: str, turns: Connection) -> None:
         os.environ["NUMBA_CACHE_DIR"] = cache
         if name == "bare":
             strip()
+        from vehicle_sbi.physics.sensors import GROUPS
         from vehicle_sbi.physics.simulation import batch_simulator
+        from vehicle_sbi.physics.single_track import DRIVES
 
         rng = np.random.default_rng(0)
         initial = np.zeros((SIMULATIONS, 1, 3))
@@ -110,7 +112,7 @@ def contend(name: str, turns: Connection) -> None:
         fixed = (RATE, 1, initial, np.arange(5), np.array([0, 0, 0, 2, 2]), y, outcomes)
         while turns.recv():
             p, start = records(rng), time.perf_counter()
-            batch_simulator(CONTENDERS[name])(p, 0, inputs(), *noise, *fixed)
+            batch_simulator(CONTENDERS[name])(p, DRIVES["torque"], GROUPS.index("can"), inputs(), *noise, *fixed)
             turns.send(time.perf_counter() - start)
             assert not outcomes.any()  # every simulation is finished
         turns.send(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)

@@ -27,7 +27,6 @@ def test_on_the_same_tyres_the_planar_motion_differs_by_less_than_the_body_s_swa
     assert {c: residual[c] for c in PLANAR if residual[c] > share + 0.04} == {}
 
 
-@pytest.mark.slow
 def test_both_roll_to_the_outside_and_dive_under_braking() -> None:
     p = multibody.SETS[2]()
     theirs = multibody.multibody(p)
