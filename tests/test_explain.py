@@ -11,9 +11,10 @@ from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.examine import Model, examine, versions
 from vehicle_sbi.mismatch.explain import exchanged, explain, extended
 from vehicle_sbi.mismatch.explanation import LAPSE, Explanation
-from vehicle_sbi.mismatch.fit import Observation, descend
+from vehicle_sbi.mismatch.fit import Observation, descend, settled
 from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.mismatch.verdict import estimates, places
+from vehicle_sbi.physics.single_track import INPUTS
 
 
 def explained(observation: Observation) -> Explanation:
@@ -92,5 +93,27 @@ def test_a_force_is_tried_at_each_place_at_its_best_time() -> None:
     truth = {"gust.force": 1500.0, "gust.arm": 0.3, "gust.start": 9.0, "gust.duration": 3.0}
     start = [*TRUTH, *(truth[name] for name in found.fit.simulator.space.names[len(TRUTH) :])]
     best = descend(found.fit.observation, np.array(start))
+    assert best is not None
+    assert found.fit.log_likelihood > best.log_likelihood - 1.0
+
+
+@pytest.mark.parametrize(("steering", "factor"), [(1.0, 0.5), (1.3, 0.4)])
+def test_grip_that_is_lost_for_a_while_is_fitted_as_well_as_from_the_truth(steering: float, factor: float) -> None:
+    # What a small step does says nothing of it, and what a large one does is out of proportion: from the sizes that
+    # follow from them the first is missed altogether, and the second falls short of the truth by more than 100.
+    sim = lateral()
+    u = sim.windows.u.copy()
+    u[..., INPUTS.index("steering")] *= steering
+    sim = replace(sim, windows=replace(sim.windows, u=u))
+    truth = {"factor": factor, "start": 4.0, "duration": 3.0}
+    observation = recorded(sim, seed=2, **{f"friction_step__{name}": value for name, value in truth.items()})
+    base = Model((), fitted(observation), 0.0)
+    known = [d for d in left_out(sim, base.fit.theta) if d.effect == "friction_step"]
+    (version,) = versions(examine(base, Repertoire.around(base.fit, known), np.random.default_rng(0)))
+    found = extended(base, version)
+    assert found is not None
+    wider = base.fit.observation.extended(replace(sim, space=found.fit.simulator.space, noise=base.fit.simulator.noise))
+    names = wider.simulator.space.names[len(TRUTH) :]
+    best = settled(descend(wider, np.array([*TRUTH, *(truth[name.split(".")[1]] for name in names)])))
     assert best is not None
     assert found.fit.log_likelihood > best.log_likelihood - 1.0

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.beyond import Beyond
-from vehicle_sbi.mismatch.candidates import Direction, allowed, null, tile
+from vehicle_sbi.mismatch.candidates import STEPS, Direction, allowed, null, tile
 from vehicle_sbi.mismatch.detect import Scores, score
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law
@@ -27,6 +27,10 @@ from vehicle_sbi.parameters import Parameter
 LEVEL = 0.05  # of the test whether anything is missing
 ALIKE = 0.98  # coherence with a direction of the catalogue from which a law says nothing new
 NEAR = 8.0  # of evidence, within which another shape is worth a fit of its own
+BEST_STEPS, AS_SIMULATED = (
+    3,
+    0.1,
+)  # larger steps of an effect, from which it is fitted, and part of them they may be off
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
 TOLD = 0.3  # power of the likelihood of what a model foretells, which whatever else is missing spoils
 
@@ -72,15 +76,15 @@ class Joint:
 class Examined:
     """A model with everything that it leaves out, and the scores of it all.
 
-    Each channel's blocks of time are scored together too; `joint` are effects that have several directions, `spans`
-    where to start fitting those that come and go, the likeliest first.
+    Each channel's blocks of time are scored together too; `joint` are effects that have several directions, `starts`
+    where else to start fitting those that come and go or do not change in proportion, the likeliest first.
     """
 
     model: Model
     free: Inventory
     scores: Scores
     joint: dict[str, Joint]
-    spans: dict[str, list[dict[Parameter, float]]]
+    starts: dict[str, list[dict[Parameter, float]]]
 
     @cached_property
     def p_value(self) -> float:
@@ -109,7 +113,7 @@ class Version:
     """A way in which an effect may act: its parameters and where to start fitting them, with what speaks for it.
 
     It is fitted from each of its shapes (where a force attacks); if it comes and goes, from the likeliest of all spans
-    of time as well as from the best of those that were scored.
+    of time as well as from the best of those that were scored; and from larger steps, if it is not in proportion to them.
     """
 
     effect: str
@@ -124,7 +128,7 @@ def examine(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> E
     about = Linearised.of(model.fit)
     free = free.ruled_by(about.coherence(free.ruled, free.named).max(axis=1, initial=0.0) < ALIKE)
     scores = score(model.fit, free.changes, *free.of.bounds, rng=rng, together=_stretches(free.of))
-    return Examined(model, free.of, scores, _joint(about, free, scores), _spans(about, free))
+    return Examined(model, free.of, scores, _joint(about, free, scores), _starts(about, free))
 
 
 def glance(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Examined:
@@ -132,7 +136,7 @@ def glance(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Ex
     free = repertoire.beyond(model.fit).alone()
     scores = score(model.fit, free.changes, *free.of.bounds, rng=rng, draws=0)
     about = Linearised.of(model.fit)
-    return Examined(model, free.of, scores, _joint(about, free, scores), _spans(about, free))
+    return Examined(model, free.of, scores, _joint(about, free, scores), _starts(about, free))
 
 
 def _stretches(free: Inventory) -> list[list[int]]:
@@ -167,6 +171,30 @@ def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joi
         _, log_det = np.linalg.slogdet(np.eye(len(rows)) + best.information[0] * (high - low)[0] ** 2 / 12.0)
         together[effect] = Joint(rows, best.size[0], gain, gain - 0.5 * float(log_det))
     return together
+
+
+def _starts(about: Linearised, free: Repertoire) -> dict[str, list[dict[Parameter, float]]]:
+    """Where to start fitting, beside where directions are scored: the likeliest spans, and larger steps as they are."""
+    spans, steps = _spans(about, free), _larger_steps(about, free)
+    return {effect: [*spans.get(effect, []), *steps.get(effect, [])] for effect in spans.keys() | steps.keys()}
+
+
+def _larger_steps(about: Linearised, free: Repertoire) -> dict[str, list[dict[Parameter, float]]]:
+    """Of effects that do not change as much in proportion, the larger steps that are likeliest as they were simulated:
+    no other size follows from what they do."""
+    rows = [k for k, d in enumerate(free.of.directions) if d.step > STEPS[0]]
+    if not rows:
+        return {}
+    found = [free.of.directions[k] for k in rows]
+    size = np.array([[d.away - null(d.parameter)] for d in found])
+    reach = AS_SIMULATED * np.abs(size)
+    likelihood = profile(about, free.named[rows][:, None], size - reach, size + reach).log_likelihood
+    starts: dict[str, list[dict[Parameter, float]]] = {}
+    for k in np.argsort(-likelihood):
+        of_effect = starts.setdefault(found[k].effect, [])
+        if len(of_effect) < BEST_STEPS:
+            of_effect.append(_sized([found[k]], size[k]))
+    return starts
 
 
 def _spans(about: Linearised, free: Repertoire) -> dict[str, list[dict[Parameter, float]]]:
@@ -225,8 +253,8 @@ def _version(examined: Examined, effect: str, rows: Sequence[list[int]]) -> Vers
     best = int(np.argmax(singles))
     k = leading[best]
     scored = [_start(examined, [row], scores.size[[row]]) for row in _of_each_shape(examined, rows[best])]
-    spans = [start for start in examined.spans.get(effect, []) if start not in scored]
-    return Version(effect, [*spans, *scored], singles[best], float(np.abs(scores.z[k])))
+    others = [start for start in examined.starts.get(effect, []) if start not in scored]
+    return Version(effect, [*others, *scored], singles[best], float(np.abs(scores.z[k])))
 
 
 def _of_each_shape(examined: Examined, rows: Sequence[int]) -> list[int]:
