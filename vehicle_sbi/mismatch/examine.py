@@ -113,7 +113,7 @@ class Version:
     """A way in which an effect may act: its parameters and where to start fitting them, with what speaks for it.
 
     It is fitted from each of its shapes (where a force attacks); if it comes and goes, from the likeliest of all spans
-    of time as well as from the best of those that were scored; and from larger steps, if it is not in proportion to them.
+    of time as well as from the best of those that were scored; if it does not change in proportion, from larger steps.
     """
 
     effect: str
