@@ -123,7 +123,7 @@ def test_short_gaps_are_filled_and_long_ones_masked_and_both_noted(tmp_path):
     assert np.flatnonzero(np.isnan(v_x)).tolist() == list(range(200, 250))
     assert rec.valid["a_y"].all()
     assert any(note.startswith("v_x: 5 samples filled linearly") for note in rec.notes)
-    assert any(note.startswith("v_x: 50 samples masked in gaps that start at 2.00 s") for note in rec.notes)
+    assert any(note.startswith("v_x: 50 samples missing in gaps that start at 2.00 s") for note in rec.notes)
 
 
 def test_missing_rows_are_gaps_of_every_channel(tmp_path):
@@ -194,7 +194,7 @@ def test_a_spike_is_filled_but_not_valid(tmp_path):
     rec = read(saved(tmp_path, data))
     assert np.flatnonzero(~rec.valid["yaw_rate"]).tolist() == [123]
     assert rec.channels["yaw_rate"][123] == pytest.approx(0.2 * 1.23)
-    assert "yaw_rate: 1 single-sample spikes masked at 1.23 s" in rec.notes
+    assert "yaw_rate: 1 single-sample spikes left out at 1.23 s" in rec.notes
 
 
 HEAD = "time_s,v_x_mps\n"

@@ -180,6 +180,7 @@ def test_holdout_parts_share_no_sample_and_keep_their_distance():
     assert distance == 101
     assert all(np.isnan(values[~a]).all() for values in training.channels.values())
     assert "held out" in training.notes[-1]
+    assert not any("without an input" in note for note in cut(training).notes)  # it is there, but held out
     assert cut(held).valid.any()
 
 
@@ -203,7 +204,7 @@ def test_holdout_of_a_short_recording_has_both_parts():
         ({"channels": ["v_x"]}, "v_x drives the model in drive mode 'speed'"),
         ({"length_s": 0.4}, "warm-up"),
         ({"length_s": 50.0}, "no window of 50 s is left"),
-        ({"v_min": 11.0}, "20.00 s below 11 m/s: masked"),
+        ({"v_min": 11.0}, "20.00 s below 11 m/s: not used"),
     ],
 )
 def test_wrong_settings_are_one_clear_line(settings, message):

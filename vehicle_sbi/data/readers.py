@@ -158,7 +158,7 @@ class RecordingFile:
             values = source.to_si(name, values, str(self.path))
             spikes = flag_spikes(values) if name != "brake" else np.zeros(len(t), dtype=bool)
             if spikes.any():
-                notes.append(f"{name}: {spikes.sum()} single-sample spikes masked at {_listed(t[spikes])} s")
+                notes.append(f"{name}: {spikes.sum()} single-sample spikes left out at {_listed(t[spikes])} s")
             group = source.group or CHANNELS[name].group
             channels[name] = Series(t=t, values=np.where(spikes, np.nan, values), group=group)
         return channels
@@ -288,7 +288,7 @@ def _resampled(
         notes.append(f"{name}: {filled.sum()} samples filled linearly in gaps up to {gap[filled].max():.3g} s")
     if absent.any():
         runs = grid[np.flatnonzero(absent & ~np.roll(absent, 1) | absent & (np.arange(len(grid)) == 0))]
-        notes.append(f"{name}: {absent.sum()} samples masked in gaps that start at {_listed(runs)} s")
+        notes.append(f"{name}: {absent.sum()} samples missing in gaps that start at {_listed(runs)} s")
     return np.where(absent, np.nan, np.interp(grid, t, values)), ~(absent | filled)
 
 

@@ -153,7 +153,7 @@ def joined(parts: Sequence[Windows], names: Sequence[str], shifts: Sequence[floa
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """Channels on a uniform grid `t` [s] at `rate` [Hz]; `notes` lists what was filled, masked, resampled, flagged.
+    """Channels on a uniform grid `t` [s] at `rate` [Hz]; `notes` lists what was filled, left out, resampled, flagged.
 
     `source` and `sha256` name the file it was read from. Raises InputError for a channel that is not in
     `CHANNELS`.
@@ -198,9 +198,14 @@ class Recording:
         )
 
     @property
+    def present(self) -> Bool[np.ndarray, " time"]:
+        """Where anything was recorded, and not left out."""
+        return np.any([*self.valid.values()], axis=0)
+
+    @property
     def present_s(self) -> float:
         """How long anything was recorded [s]."""
-        return float(np.any([*self.valid.values()], axis=0).sum() / self.rate)
+        return float(self.present.sum() / self.rate)
 
     def liveliest(self, share: float, *, stretch_s: float = 60.0) -> "Recording":
         """The recording with nothing but the stretches in which steering and speed change most, `share` of its time.
@@ -378,7 +383,7 @@ class Recording:
         start_s: float | None,
         stop_s: float | None,
     ) -> tuple[Bool[np.ndarray, " time"], list[str]]:
-        """Where the model may be run, and why not elsewhere."""
+        """Where the model may be run, and why not elsewhere, as far as anything is present there."""
         within = (self.t >= (self.t[0] if start_s is None else start_s)) & (
             self.t <= (self.t[-1] if stop_s is None else stop_s)
         )
@@ -389,7 +394,8 @@ class Recording:
         }
         if drive == "torque" and "brake" in self.channels:
             reasons["braking"] = self.channels["brake"] > 0.5
-        notes = [f"{bad.sum() / self.rate:.2f} s {reason}: masked" for reason, bad in reasons.items() if bad.any()]
+        seconds = {reason: (bad & self.present).sum() / self.rate for reason, bad in reasons.items()}
+        notes = [f"{bad:.2f} s {reason}: not used" for reason, bad in seconds.items() if bad > 0.0]
         return ~np.any(list(reasons.values()), axis=0), notes
 
 

@@ -88,7 +88,7 @@ class Prepared:
 
     @property
     def notes(self) -> list[str]:
-        """What was filled, masked or left out on the way from file to windows."""
+        """What was filled or left out on the way from file to windows."""
         return list(self.problem.simulator.windows.notes)
 
     @property
