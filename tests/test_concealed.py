@@ -259,7 +259,7 @@ def truth(kind: str, effects: dict[str, dict[str, float]], level: str = "L0", **
 def verdict(explanations: list[tuple[list[str], float]], none: float, unknown: float, **more: object) -> dict:
     named = [{"effects": names, "probability": p, "parameters": {}, "acts": {}} for names, p in explanations]
     plain = {"detected": True, "p_value": 0.001, "explanations": named, "p_none": none, "p_unknown": unknown}
-    return plain | {"mismatch": [], "indistinguishable": [], "fit": {}, "base_parameters": {}} | more
+    return plain | {"mismatch": [], "indistinguishable": [], "unknown": None, "fit": {}, "base_parameters": {}} | more
 
 
 def test_scores_of_hand_made_verdicts() -> None:
@@ -324,6 +324,11 @@ def test_places_are_held_against_the_truth_in_each_recording() -> None:
     assert row["iou"] == pytest.approx((1.0 + 4.0) / (4.0 + 6.0 + 1.0))
     assert row["onset_error"] == pytest.approx(3.0)
     assert scores.score(drag, verdict([(["gust"], 0.1)], 0.0, 0.9))["iou"] == 0.0
+    laws = [{"acts": [{"recording": "b", "from_s": 5.0, "to_s": 8.0}]}, {"acts": []}]
+    said = verdict([(["gust"], 0.1)], 0.0, 0.9, mismatch=places) | {"unknown": {"laws": laws}}
+    assert scores.score(drag, said)["iou"] == pytest.approx(3.0 / 10.0)
+    said = verdict([(["gust"], 0.9)], 0.0, 0.1, mismatch=places) | {"unknown": {"laws": laws}}
+    assert scores.score(drag, said)["iou"] == pytest.approx((1.0 + 4.0) / (4.0 + 6.0 + 1.0))
 
 
 def test_a_profile_has_one_error_and_what_is_not_said_of_it_counts_as_none() -> None:

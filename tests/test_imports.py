@@ -16,7 +16,8 @@ inference.prior inference.simulator inference.information inference.setup infere
 inference.features inference.estimator inference.training inference.proposal inference.rounds inference.predictive
 inference.study inference.calibration
 mismatch.belief mismatch.candidates mismatch.separability mismatch.fit mismatch.gate mismatch.case mismatch.locate
-mismatch.laws mismatch.linear mismatch.staircase mismatch.stiction mismatch.detect mismatch.loose mismatch.latent
+mismatch.laws mismatch.linear mismatch.staircase mismatch.stiction mismatch.detect mismatch.onset mismatch.loose
+mismatch.latent
 mismatch.repertoire mismatch.beyond mismatch.examine mismatch.foretell mismatch.explanation mismatch.unnamed
 mismatch.explain mismatch.sampled mismatch.reinfer mismatch.experiment mismatch.improve mismatch.answer
 mismatch.wording mismatch.verdict

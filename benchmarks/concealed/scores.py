@@ -94,14 +94,16 @@ def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None)
 def _place(truth: Json, verdict: Json, answer: Answer) -> dict[str, Any]:
     """Overlap of the true spans with the stated ones over all recordings, and the onset's error in the first.
 
-    Stated are those of what the answer names, if it says when it acts, else where in time the misfit is.
+    Stated are those of what the answer names, or of the likeliest law where it is unknown, if it says when it acts,
+    else where in time the misfit is.
     """
     effect, true = next(((name, e["spans"]) for name, e in truth["effects"].items() if e["spans"]), ("", None))
     if true is None:
         return {"iou": None, "onset_error": None}
     acts = next((e["acts"] for e in verdict["explanations"] if set(e["effects"]) == answer), {})
     places = [m["within"] for m in verdict["mismatch"] if m["p_value"] < 0.05 and not m["regime"]]
-    acting = acts.get(effect) or next(iter(acts.values()), None)
+    laws = (verdict["unknown"] or {}).get("laws", []) if answer == UNKNOWN else []
+    acting = acts.get(effect) or next(iter(acts.values()), None) or next((law.get("acts") for law in laws), None)
     said: dict[str, list[Span]] = {}
     for stretch in acting or [stretch for within in places for stretch in within]:
         said.setdefault(stretch["recording"], []).append((stretch["from_s"], stretch["to_s"]))

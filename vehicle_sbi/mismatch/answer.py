@@ -70,23 +70,25 @@ class Named:
 @dataclass(frozen=True)
 class Followed:
     """A law outside the catalogue: a target that follows a signal of the drive, its size where the signal has its root
-    mean square, the effects that it stands beside, and how probable it is."""
+    mean square, the effects that it stands beside, how probable it is, and when in which recording it acts, if it sets
+    in at a moment."""
 
     target: str
     signal: str
     size: Estimate
     effects: tuple[str, ...]
     probability: float
+    acts: list[Stretch]
 
     @property
     def sentence(self) -> str:
         """The law, in words."""
         beside = f" beside {listed(self.effects)}" if self.effects else ""
         size = quantity("", self.size).removeprefix(" = ")
-        return (
-            f"The likeliest law outside the catalogue{beside}: {self.target} that follows {self.signal}, "
-            f"{size} at its root mean square."
-        )
+        law = f"{self.target} that follows {self.signal}, {size} at its root mean square"
+        if self.acts:
+            law = f"{self.target} that {self.signal}, {size} {spoken(self.acts)}"
+        return f"The likeliest law outside the catalogue{beside}: {law}."
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
-"""What follows no signal of the drive: a load or an error that takes a course of its own, a sensor that reads in
-steps, a steering that sticks.
+"""What follows no signal of the drive: a load or an error that takes a course of its own, or sets in at a moment and
+stays; a sensor that reads in steps; a steering that sticks.
 
 They stand for something unknown beside the laws. They are not fitted but weighed: what they do to the series has sizes
 that are normal about zero, so that their evidence and what they foretell are those of a normal with a wider covariance.
@@ -16,6 +16,7 @@ from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import STEERING, Law, Target, law_slopes, targets
 from vehicle_sbi.mismatch.linear import Linearised, gained_at_random
 from vehicle_sbi.mismatch.locate import bump, clock, stretches
+from vehicle_sbi.mismatch.onset import Onset, onsets
 from vehicle_sbi.mismatch.staircase import Staircase, predicted, rounding
 from vehicle_sbi.mismatch.stiction import effect, errors, likeliest
 from vehicle_sbi.physics.sensors import MEASUREMENTS
@@ -88,13 +89,14 @@ class Jerks:
         return effect(fit, self.target, errors(fit.simulator, np.array([self.threshold])))
 
 
-Loose = Course | Steps | Jerks
+Loose = Course | Onset | Steps | Jerks
 
 
 def loose(fit: Fit) -> Iterator[Loose]:
-    """Every target on a course of its own, every channel in steps, and a steering that sticks."""
+    """Every target on a course of its own and setting in, every channel in steps, and a steering that sticks."""
     about = Linearised.of(fit)
     yield from courses(about)
+    yield from onsets(about)
     yield from staircases(about)
     yield from sticking(about)
 

@@ -16,7 +16,7 @@ from vehicle_sbi.mismatch.laws import under
 from vehicle_sbi.mismatch.loose import loose
 from vehicle_sbi.parameters import ParameterSpace
 
-KINDS = 5  # that share the prior probability of something unknown: laws, courses, steps, sticking and boxes
+KINDS = 6  # that share the prior probability of something unknown: laws, courses, onsets, steps, sticking, boxes
 LAWS_TRIED = 2  # that are fitted fully beside a model
 HOPELESS = 2.0  # evidence below which nothing further outweighs the reluctance to add it
 LET_OUT = 2  # times that boxes become wider, at most

@@ -22,6 +22,7 @@ from vehicle_sbi.mismatch.latent import what_it_takes
 from vehicle_sbi.mismatch.laws import Law
 from vehicle_sbi.mismatch.locate import Stretch, lies_in, merged, own_time
 from vehicle_sbi.mismatch.loose import Loose
+from vehicle_sbi.mismatch.onset import Onset
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.mismatch.wording import SPOKEN_OF, sentence
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -144,7 +145,8 @@ def _unknown(explanation: Explanation) -> Unknown:
         elif model.outside is not None:
             name, signal = model.outside.target.name, model.outside.signal
             size = _size(model, model.outside, explanation.temper)
-            laws.append(Followed(name, signal, size, model.effects, probability))
+            acts = model.outside.within if isinstance(model.outside, Onset) else []
+            laws.append(Followed(name, signal, size, model.effects, probability, acts))
     beside, takes = next(iter(explanation.beside_unknown)), what_it_takes(explanation.best.model.fit)
     return Unknown(beside, laws, outgrown, takes)
 
@@ -158,9 +160,9 @@ def _size(model: Model, outside: Law | Loose, power: float) -> Estimate:
     """Of what a model has that the catalogue does not."""
     if isinstance(outside, Law):
         return estimates(model, power)[outside.target.size.name]
-    mean, std = outside.size, outside.std
+    mean, std, least = outside.size, outside.std, -np.inf if isinstance(outside, Onset) else 0.0
     low, high = norm.ppf([0.05, 0.95], mean, max(std, 1e-12))
-    return Estimate(mean, std, max(float(low), 0.0), float(high), outside.target.size.unit)
+    return Estimate(mean, std, max(float(low), least), float(high), outside.target.size.unit)
 
 
 def exchangeable(together: Sequence[Sequence[str]]) -> list[list[str]]:
