@@ -158,8 +158,7 @@ def _by_effect(found: Sequence[Direction]) -> dict[str, dict[str, list[int]]]:
 
 def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joint]:
     """Effects with several directions: all of them at once, under normal priors as wide as their boxes."""
-    found, changes, nothing = free.of.directions, free.named, np.zeros((1, 0))
-    base = profile(about, changes[None, :0], nothing, nothing).log_likelihood[0]
+    found, changes, base = free.of.directions, free.named, _of_none(about, free)
     together = {}
     for effect, by_parameter in _by_effect(found).items():
         if len(by_parameter) < 2:
@@ -173,6 +172,12 @@ def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joi
     return together
 
 
+def _of_none(about: Linearised, free: Repertoire) -> float:
+    """Log likelihood without any direction."""
+    nothing = np.zeros((1, 0))
+    return float(profile(about, free.named[None, :0], nothing, nothing).log_likelihood[0])
+
+
 def _starts(about: Linearised, free: Repertoire) -> dict[str, list[dict[Parameter, float]]]:
     """Where to start fitting, beside where directions are scored: the likeliest spans, and larger steps as they are."""
     spans, steps = _spans(about, free), _larger_steps(about, free)
@@ -180,8 +185,8 @@ def _starts(about: Linearised, free: Repertoire) -> dict[str, list[dict[Paramete
 
 
 def _larger_steps(about: Linearised, free: Repertoire) -> dict[str, list[dict[Parameter, float]]]:
-    """Of effects that do not change as much in proportion, the larger steps that are likeliest as they were simulated:
-    no other size follows from what they do."""
+    """Of effects that do not change as much in proportion, the larger steps that are likeliest as they were simulated,
+    and likelier than none: no other size follows from what they do."""
     rows = [k for k, d in enumerate(free.of.directions) if d.step > STEPS[0]]
     if not rows:
         return {}
@@ -189,8 +194,9 @@ def _larger_steps(about: Linearised, free: Repertoire) -> dict[str, list[dict[Pa
     size = np.array([[d.away - null(d.parameter)] for d in found])
     reach = AS_SIMULATED * np.abs(size)
     likelihood = profile(about, free.named[rows][:, None], size - reach, size + reach).log_likelihood
+    helpful = np.flatnonzero(likelihood > _of_none(about, free))
     starts: dict[str, list[dict[Parameter, float]]] = {}
-    for k in np.argsort(-likelihood):
+    for k in helpful[np.argsort(-likelihood[helpful])]:
         of_effect = starts.setdefault(found[k].effect, [])
         if len(of_effect) < BEST_STEPS:
             of_effect.append(_sized([found[k]], size[k]))
