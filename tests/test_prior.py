@@ -59,6 +59,12 @@ def test_an_effect_brings_its_parameters_unless_the_prior_narrows_them(name: str
     assert space.parameters[0].high == (first.low + first.high) / 2
 
 
+def test_null_keeps_a_parameter_of_an_effect_where_the_effect_vanishes() -> None:
+    prior = {"l_f": [1.0, 1.5], "body_roll": {"lag": None}}
+    space = parameter_space(prior, vehicle=PAPER, model="single_track", effects=["body_roll"])
+    assert space.names == ("l_f", "body_roll.gradient")
+
+
 def test_what_the_vehicle_file_leaves_out_gets_a_generic_prior() -> None:
     unknown = replace(PAPER, mu=None, C_alpha_f=None, l_f=None)
     space = parameter_space({"l_f": [1.0, 1.5]}, vehicle=unknown, model="single_track")

@@ -33,14 +33,16 @@ DELTAS: Mapping[str, Parameter] = {
 KNOWN: Mapping[str, Parameter] = {**GENERIC_PRIORS, **BODY_PRIORS, **IMU_PRIORS, **DELTAS, **EFFECT_PARAMETERS}
 
 
-def flatten(prior: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """`{aero_drag: {area: [0, 1]}}` as `{"aero_drag.area": [0, 1]}`."""
+def flatten(prior: Mapping[str, Any]) -> dict[str, Any]:
+    """`{aero_drag: {area: [0, 1]}}` as `{"aero_drag.area": [0, 1]}`, without what is null."""
+    return {name: value for name, value in _joined(prior).items() if value is not None}
+
+
+def _joined(prior: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A prior by full names, nulls included."""
     flat: dict[str, Any] = {}
     for name, value in prior.items():
-        if isinstance(value, Mapping):
-            flat |= flatten(value, f"{prefix}{name}.")
-        elif value is not None:
-            flat[f"{prefix}{name}"] = value
+        flat |= _joined(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
     return flat
 
 
@@ -61,6 +63,7 @@ def parameter_space(
 ) -> ParameterSpace:
     """The free parameters: those of the prior file, those of the effects, and what the vehicle file leaves out.
 
+    A null takes a parameter out of the prior, and one of an effect out of the effect: it stays where that vanishes.
     Raises InputError for an unknown name, a box with low >= high, or one in which no vehicle exists.
     """
     free: dict[str, Parameter] = {}
@@ -69,10 +72,11 @@ def parameter_space(
             raise unknown("parameter", name, KNOWN, "prior")
         low, high = _bounds(name, value)
         free[name] = replace(KNOWN[name], low=low, high=high)
+    stated = _joined(prior)
     for name in effects:
         if name not in CATALOGUE:
             raise unknown("effect", name, CATALOGUE, "effects")
-        free |= {p.name: p for p in CATALOGUE[name].parameters if p.name not in free}
+        free |= {p.name: p for p in CATALOGUE[name].parameters if p.name not in stated}
     set_by_prior = {name for p in free.values() for name in p.fields}
     free |= {name: KNOWN[name] for name in vehicle.missing(model) if name not in set_by_prior}
     if not free:
