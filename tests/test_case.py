@@ -209,3 +209,13 @@ def test_a_place_is_not_in_a_recording_that_only_its_fading_end_reaches_into(tmp
     over = Block("a_y", 9.5, 9.5 + (stop - start))
     assert [one.recording for one in own_time(simulator, over.from_s, over.to_s)] == ["a", "b"]
     assert [one.recording for one in lies_in(simulator, over)] == ["b"]
+
+
+def test_a_recording_too_short_to_hold_anything_out_is_refused_with_the_length_that_it_takes(tmp_path: Path) -> None:
+    whole = pd.read_csv(written(tmp_path / "whole.csv", 0))
+    for name, seconds in (("short", 2.0), ("enough", 3.4)):
+        whole[whole["time_s"] < seconds - 1e-6].to_csv(tmp_path / f"{name}.csv", index=False)
+    # Half of it, less a buffer of 1 s, has to last for a warm-up of 0.5 s and ten samples at 50 Hz.
+    with pytest.raises(InputError, match=r"2 s are too short to hold anything out; it takes 3\.4 s"):
+        diagnosis([tmp_path / "short.csv"]).prepare()
+    assert diagnosis([tmp_path / "enough.csv"]).prepare().held_out.anything

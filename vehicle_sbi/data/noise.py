@@ -18,6 +18,7 @@ from vehicle_sbi.errors import InputError, unknown
 
 TINY = 1e-9  # [channel's unit], so that a channel that is fitted perfectly can still be divided by its noise
 LARGEST_RHO = 0.999
+FEWEST = 10  # samples of a channel from which its noise is estimated
 # Window [s] and order of the local polynomial whose residual is taken for sensor noise.
 SMOOTHING_S, SMOOTHING_ORDER = 0.25, 3
 
@@ -235,8 +236,10 @@ def from_residual(
     largest = largest_rho(windows.rate, memory_s)
     for channel, name in enumerate(windows.channels):
         valid = windows.valid[channel]
-        if valid.sum() < 10:
-            raise InputError(f"noise=estimated: channel {name} has {valid.sum()} valid samples; it needs at least 10")
+        if valid.sum() < FEWEST:
+            raise InputError(
+                f"noise=estimated: channel {name} has {valid.sum()} valid samples; it needs at least {FEWEST}"
+            )
         square = float(np.mean(residual[channel, valid] ** 2))
         pairs = np.flatnonzero(valid[:-1] & valid[1:] & (np.arange(1, len(valid)) % time > 0))
         product = float(np.mean(residual[channel, pairs] * residual[channel, pairs + 1]))

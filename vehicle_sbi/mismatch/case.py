@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vehicle_sbi.data.noise import DrawnProcessNoise, EstimatedNoise, Mixture
+from vehicle_sbi.data.noise import FEWEST, DrawnProcessNoise, EstimatedNoise, Mixture
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording, Windows, joined, one_after_another
 from vehicle_sbi.errors import InputError
@@ -17,6 +17,7 @@ from vehicle_sbi.parameters import ParameterSpace
 
 HELD_OUT = 0.25  # share of the recordings' time that is held out where no recording is
 BLOCK_S = 10.0  # [s] of a block that is held out, or a window if that is longer
+BUFFER_S = 1.0  # [s] beside it that is not fitted
 MOST_SAMPLES = 60_000  # of the recordings together; of longer ones the liveliest stretches are used
 MOST_WINDOWS = 40  # into which recordings are cut for fitting; longer ones get longer windows
 STIFFEST = 2.0  # step times rate: modes this fast are stable (to 2.78) and gone within a sample, at half the cost
@@ -95,14 +96,34 @@ class Diagnosis(Setup):
         blocks that are held out where no recording is."""
         if not self.window_s > self.warmup_s:
             raise InputError(f"window_s = {self.window_s:g}; it must be longer than warmup_s = {self.warmup_s:g}")
+        if not held:
+            self._check_length(training)
         seconds = sum(recording.present_s for _, recording in (*training, *held))
         shortest = min(recording.present_s for _, recording in training)
         return max(self.window_s if held else min(self.window_s, HELD_OUT * shortest), seconds / MOST_WINDOWS)
 
+    def _check_length(self, training: Read) -> None:
+        """InputError for a recording too short to hold anything out.
+
+        Of four blocks the second one is held out, and the two after it lack a buffer; in it and in those two a window
+        has to last beyond its warm-up.
+        """
+        for _, recording in training:
+            fitted_s = self.warmup_s + FEWEST / recording.rate
+            least_s = max(fitted_s / HELD_OUT, 2.0 * (BUFFER_S + fitted_s))
+            if recording.present_s < least_s:
+                raise InputError(
+                    f"{recording.source}: {recording.present_s:.3g} s are too short to hold anything out; it takes "
+                    f"{least_s:.3g} s, or another recording as heldout=[…]"
+                )
+
     def blocks(self, training: Read) -> tuple[Read, Read]:
         """Recordings with blocks of their time held out, and those blocks."""
         block_s = max(BLOCK_S, self.window_s)
-        parts = [(file, recording.holdout(share=HELD_OUT, block_s=block_s)) for file, recording in training]
+        parts = [
+            (file, recording.holdout(share=HELD_OUT, block_s=block_s, buffer_s=BUFFER_S))
+            for file, recording in training
+        ]
         return [(file, kept) for file, (kept, _) in parts], [(file, out) for file, (_, out) in parts]
 
     def _read(self) -> tuple[Read, Read]:
