@@ -22,7 +22,7 @@ mismatch.repertoire mismatch.beyond mismatch.examine mismatch.foretell mismatch.
 mismatch.explain mismatch.sampled mismatch.reinfer mismatch.experiment mismatch.improve mismatch.answer
 mismatch.wording mismatch.verdict
 report.run_folder report.tables report.density report.figures report.mismatch_figures report.catalogue report.page
-report.results report.diagnosis
+report.card report.extended report.results report.diagnosis
 report.observability report.autoware
 """.split()
 RANK = {f"vehicle_sbi.{name}": rank for rank, name in enumerate(ORDER)}

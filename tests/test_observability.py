@@ -41,3 +41,4 @@ def test_the_script_names_what_one_sine_cannot_tell_apart() -> None:
     pair = next(line for line in run.stdout.splitlines() if line.startswith("Hardly told apart"))
     assert "body_roll.gradient" in pair
     assert "accelerometer_scale.y" in pair
+    assert "absorbed by" in run.stdout

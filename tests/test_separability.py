@@ -81,3 +81,26 @@ def test_directions_are_those_that_leave_the_null() -> None:
     }
     for name, parameters in expected.items():
         assert [d.parameter.name for d in directions(sim, MIDDLE, CATALOGUE[name])] == parameters
+
+
+def test_what_parameters_take_of_an_effect_and_what_is_left_of_it_is_all_of_it() -> None:
+    sim = lateral()
+    bias = CATALOGUE["accelerometer_bias"].parameters[0]
+    fitted = replace(sim, space=ParameterSpace((*sim.space.parameters, bias)))
+    found = card(fitted, np.array([1.25, 0.0]))
+    for one in found.candidates:
+        assert one.retained + sum(one.taken.values()) == pytest.approx(1.0, abs=1e-6)
+    assert found.candidates[entry(found, "road_grade.angle")].absorbers == ["accelerometer_bias.x"]
+    assert found.candidates[entry(found, "imu_lever_arm.y")].absorbers == []  # a lateral lever: r' and r^2 in a_x, a_y
+
+
+def test_each_effect_of_the_catalogue_could_show_or_could_not_or_is_fitted() -> None:
+    sim, bias = lateral(), CATALOGUE["accelerometer_bias"].parameters
+    found = card(replace(sim, space=ParameterSpace((*sim.space.parameters, *bias))), np.array([1.25, 0.0, 0.0]))
+    shown, hidden = found.could_show(), found.invisible()
+    assert sorted([*shown, *hidden, "accelerometer_bias"]) == sorted(CATALOGUE)
+    assert {"drive_gain", "aero_drag"} <= set(found.idle()) <= set(hidden)  # the speed is given
+    shares = [one.share for one in shown.values()]
+    assert shares == sorted(shares)
+    assert shares[-1] <= 1.0
+    assert shown["gyro_bias"].parameter.name == "gyro_bias.z"

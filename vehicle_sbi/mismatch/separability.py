@@ -8,6 +8,7 @@ All of it follows from the simulator, before the data are looked at. With J the 
     size = 2.8 / sqrt(g'Mg)            seen with a power of 80 % by a two-sided test at 5 %
     coherence = |g_i'M g_j| / sqrt(g_i'M g_i  g_j'M g_j)
     absorbed = (J'J + P)^-1 J'g        how far the fitted parameters move instead, per unit of the effect
+    taken_j = absorbed_j J_j'g / g'g   the share that parameter j takes; with all others and what is retained it is 1
 """
 
 from collections.abc import Sequence
@@ -22,10 +23,12 @@ from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.candidates import Direction, left_out, null, slopes
 from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.physics.effects import CATALOGUE
 
 LEVEL, POWER = 0.05, 0.8
 SEEN = float(norm.isf(LEVEL / 2) + norm.ppf(POWER))  # standard deviations, 2.80
 INSEPARABLE = 0.95  # coherence from which two candidates count as one
+TAKING = 0.1  # share of an effect, from which a parameter is said to absorb it
 
 
 @dataclass(frozen=True)
@@ -33,27 +36,50 @@ class Candidate:
     """What a recording could tell of one direction; sizes are in the parameter's unit.
 
     `absorbed` says by how many of its prior's standard deviations each fitted parameter moves for an effect of the
-    smallest size that is seen (or of the prior's half width, if that is less).
+    smallest size that is seen (or of the prior's half width, if that is less); `taken` which share each
+    of them takes, negative where it makes up for another one.
     """
 
     parameter: Parameter
     retained: float
     size: float
     absorbed: dict[str, float]
+    taken: dict[str, float]
+
+    @property
+    def effect(self) -> str:
+        return self.parameter.name.split(".")[0]
+
+    @property
+    def least(self) -> str:
+        """The smallest size that is seen, in two digits."""
+        return f"{float(f'{self.size:.2g}'):g}"
+
+    @property
+    def share(self) -> float:
+        """The smallest size that is seen, as a share of how far the effect's prior reaches."""
+        rest = null(self.parameter)
+        return self.size / max(self.parameter.high - rest, rest - self.parameter.low)
 
     @property
     def visible(self) -> bool:
         """Whether the smallest size that is seen lies within the effect's prior."""
-        rest = null(self.parameter)
-        return self.size <= max(self.parameter.high - rest, rest - self.parameter.low)
+        return self.share <= 1.0
+
+    @property
+    def absorbers(self) -> list[str]:
+        """The fitted parameters that absorb it, the one that takes most of it first."""
+        return sorted((p for p, part in self.taken.items() if abs(part) >= TAKING), key=lambda p: -abs(self.taken[p]))
 
 
 @dataclass(frozen=True)
 class Card:
-    """All candidates of a recording, the coherence between them, and the groups that it cannot tell apart."""
+    """All candidates of a recording, the coherence between them, the groups that it cannot tell apart, and what is
+    fitted."""
 
     candidates: tuple[Candidate, ...]
     coherence: Float[np.ndarray, "k k"]
+    fitted: tuple[str, ...]
 
     def groups(self) -> list[tuple[str, ...]]:
         """Sets of visible candidates that hang together by coherences above INSEPARABLE, the largest first."""
@@ -63,6 +89,24 @@ class Card:
         _, label = connected_components(close, directed=False)
         sets = [tuple(names[i] for i, k in zip(shown, label, strict=True) if k == group) for group in set(label)]
         return sorted((group for group in sets if len(group) > 1), key=len, reverse=True)
+
+    def could_show(self) -> dict[str, Candidate]:
+        """Each effect that would show, by the parameter with which it does at the smallest share of its prior, the
+        smallest one first."""
+        found: dict[str, Candidate] = {}
+        for one in sorted((c for c in self.candidates if c.visible), key=lambda c: c.share):
+            found.setdefault(one.effect, one)
+        return found
+
+    def invisible(self) -> list[str]:
+        """Effects of the catalogue that would not show, however large within their prior; what is fitted is none."""
+        apart = self.could_show().keys() | {name.split(".")[0] for name in self.fitted}
+        return [name for name in CATALOGUE if name not in apart]
+
+    def idle(self) -> list[str]:
+        """Those of them that change nothing here at all."""
+        acting = {c.effect for c in self.candidates}
+        return [name for name in self.invisible() if name not in acting]
 
 
 def card(simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[Direction] | None = None) -> Card:
@@ -83,10 +127,11 @@ def card(simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[D
     with np.errstate(divide="ignore", invalid="ignore"):
         coherence = np.nan_to_num(np.abs(cross) / np.sqrt(np.outer(left, left)))
         size, retained = SEEN / np.sqrt(left), np.nan_to_num(left / raw)
-    rows = []
+        taken = np.nan_to_num(moved * (J @ g.T) / raw)
+    names, rows = simulator.space.names, []
     for k, direction in enumerate(found):
         p = direction.parameter
         shown = min(size[k], 0.5 * (p.high - p.low))
-        absorbed = dict(zip(simulator.space.names, (shown * moved[: len(theta), k]).tolist(), strict=True))
-        rows.append(Candidate(p, float(retained[k]), float(size[k]), absorbed))
-    return Card(tuple(rows), coherence)
+        absorbed, part = (dict(zip(names, of[: len(theta), k].tolist(), strict=True)) for of in (shown * moved, taken))
+        rows.append(Candidate(p, float(retained[k]), float(size[k]), absorbed, part))
+    return Card(tuple(rows), coherence, names)

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from vehicle_sbi.inference.information import best_fit, bound_std, confusable, fisher
 from vehicle_sbi.inference.study import Prepared
 from vehicle_sbi.mismatch.separability import card
+from vehicle_sbi.report.card import could_show, hidden
 from vehicle_sbi.report.tables import NOT_IDENTIFIED, rounded
 
 
@@ -43,18 +44,9 @@ def observability(prepared: Prepared) -> tuple[pd.DataFrame, list[str]]:
 
 
 def left_out(prepared: Prepared) -> tuple[pd.DataFrame, list[str]]:
-    """A row of text per effect that is not fitted: from which size it would show, and what hides it until then."""
+    """A row of text per effect that is not fitted, and what is to be said of them together."""
     found = card(prepared.problem.simulator, point(prepared))
-    table = pd.DataFrame(
-        {
-            "effect": [c.parameter.name for c in found.candidates],
-            "unit": [c.parameter.unit for c in found.candidates],
-            "shows from": [f"{c.size:.2g}" if c.visible else "not in this recording" for c in found.candidates],
-            "left by the fit": [f"{c.retained:.0%}" for c in found.candidates],
-            "hides most in": [max(c.absorbed, key=lambda name: abs(c.absorbed[name])) for c in found.candidates],
-        }
-    )
-    return table, [f"Not told apart: {', '.join(group)}." for group in found.groups()]
+    return could_show(found), hidden(found)
 
 
 def condition(F: Float[np.ndarray, "d d"], prior_std: Float[np.ndarray, " d"]) -> float:

@@ -1,0 +1,31 @@
+"""What a recording could show of the effects that are not fitted, as a table and in words."""
+
+import pandas as pd
+
+from vehicle_sbi.mismatch.separability import POWER, TAKING, Card
+
+LEGEND = (
+    f"shows from: how far off its null an effect is seen with a power of {POWER:.0%}; left by the fit: the share of "
+    f"what it does that fitting leaves; absorbed by: the fitted parameters that take {TAKING:.0%} of it or more."
+)
+
+
+def could_show(seen: Card) -> pd.DataFrame:
+    """A row of text for each parameter that an effect acts by: whether and from which size it would show, and what
+    absorbs it until then."""
+    return pd.DataFrame(
+        {
+            "effect": [c.parameter.name for c in seen.candidates],
+            "unit": [c.parameter.unit for c in seen.candidates],
+            "visible": ["yes" if c.visible else "no" for c in seen.candidates],
+            "shows from": [c.least if c.visible else "not here" for c in seen.candidates],
+            "left by the fit": [f"{c.retained:.0%}" for c in seen.candidates],
+            "absorbed by": [", ".join(c.absorbers) for c in seen.candidates],
+        }
+    )
+
+
+def hidden(seen: Card) -> list[str]:
+    """What the table does not say: effects that hang together, and those that cannot act here."""
+    said = [f"Not told apart: {', '.join(group)}." for group in seen.groups()]
+    return [*said, f"Without any effect here: {', '.join(seen.idle())}."] if seen.idle() else said
