@@ -1,5 +1,6 @@
 """What a verdict says: which effects stand for each other, and estimates of a fit or of an inferred posterior."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from vehicle_sbi.mismatch.reinfer import Reinference
 from vehicle_sbi.mismatch.separability import card
 from vehicle_sbi.mismatch.verdict import estimates, exchangeable
 from vehicle_sbi.mismatch.wording import sentence
+from vehicle_sbi.physics.effects import CATALOGUE
 
 AGAIN = Reinference(
     features=Score(),
@@ -105,3 +107,18 @@ def test_held_out_data_that_is_unlike_what_is_fitted_is_spoken_of_where_nothing_
     usual, strange = (sentence(found, [], [], [], None, None, seen, covered) for covered in (0.9, 0.57))
     assert strange.startswith(usual)
     assert "57% of it" in strange.removeprefix(usual)
+
+
+def test_where_nothing_is_missing_it_is_said_which_effects_would_have_shown() -> None:
+    base = fitted(recorded(lateral()))
+    known = left_out(base.simulator, base.theta)
+    found = explain(base, known[:1], rng=np.random.default_rng(0))
+    assert not found.detected
+    seen = card(base.simulator, base.theta, known)
+    said = sentence(found, [], [], [], None, None, seen, 0.9)
+    assert f"{len(seen.could_show())} of the {len(CATALOGUE)} known effects" in said
+    first = next(iter(seen.could_show().values()))
+    assert f"{first.parameter.name} from {first.least} {first.parameter.unit}" in said
+    scale = replace(seen, candidates=tuple(c for c in seen.candidates if c.effect == "gyro_scale"))
+    assert "gyro_scale.z from 0.0" in (said := sentence(found, [], [], [], None, None, scale, 0.9))
+    assert said.endswith(" off 1.")

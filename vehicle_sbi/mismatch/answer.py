@@ -141,9 +141,19 @@ class Score:
 
 
 @dataclass(frozen=True)
+class Visible:
+    """The parameter by which an effect would show first, and how far off its null it would have to be."""
+
+    parameter: str
+    size: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Verdict:
     """What the diagnosis says; its fields are those of verdict.json. `effects`: how probable it is that each of them is
-    missing, whatever else is."""
+    missing, whatever else is; `could_show` and `invisible`: which the recordings would have shown with a power of 80 %,
+    and which they could not; `warnings`: those of the notes that say why the base model's fit may not be relied on."""
 
     schema: int
     detected: bool
@@ -158,6 +168,9 @@ class Verdict:
     separating_experiment: str
     fit: dict[str, object]
     base_parameters: dict[str, object]
+    could_show: dict[str, Visible]
+    invisible: list[str]
+    warnings: list[str]
     notes: list[str]
     sentence: str
 

@@ -30,6 +30,10 @@ class Gate:
     gap: float
 
     @property
+    def trusted(self) -> bool:
+        return not self.notes
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What is to be said of a fit that should not be trusted."""
         said = []

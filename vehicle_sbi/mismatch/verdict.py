@@ -8,7 +8,18 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, truncnorm
 
-from vehicle_sbi.mismatch.answer import Estimate, Followed, Named, Outgrown, Place, Score, Unknown, Verdict, listed
+from vehicle_sbi.mismatch.answer import (
+    Estimate,
+    Followed,
+    Named,
+    Outgrown,
+    Place,
+    Score,
+    Unknown,
+    Verdict,
+    Visible,
+    listed,
+)
 from vehicle_sbi.mismatch.beyond import Beyond
 from vehicle_sbi.mismatch.candidates import SPAN
 from vehicle_sbi.mismatch.case import Case
@@ -24,7 +35,7 @@ from vehicle_sbi.mismatch.locate import Stretch, lies_in, merged, own_time
 from vehicle_sbi.mismatch.loose import Loose
 from vehicle_sbi.mismatch.onset import Onset
 from vehicle_sbi.mismatch.separability import Card
-from vehicle_sbi.mismatch.wording import SPOKEN_OF, sentence
+from vehicle_sbi.mismatch.wording import SPOKEN_OF, distrusted, sentence
 from vehicle_sbi.physics.effects import CATALOGUE
 
 SCHEMA = 1
@@ -114,6 +125,8 @@ def verdict(
     found = [_named(explanation, k) for k in range(min(len(explanation.models), LISTED))]
     mismatch = places(explanation) if explanation.detected else []
     rest = sum(explanation.probability[LISTED:])
+    warnings = [*passed.notes, *_rim(explanation.base.model.fit)]
+    said = sentence(explanation, found, mismatch, together, unknown, gained, seen, covered)
     return Verdict(
         schema=SCHEMA,
         detected=explanation.detected,
@@ -131,8 +144,11 @@ def verdict(
             name: {"before": _plain(before[name]), "after": _plain(after[name]), "unit": before[name].unit}
             for name in before
         },
-        notes=[*passed.notes, *_rim(explanation.base.model.fit), *_doubts(explanation), *case.notes],
-        sentence=sentence(explanation, found, mismatch, together, unknown, gained, seen, covered),
+        could_show={name: Visible(c.parameter.name, c.size, c.parameter.unit) for name, c in seen.could_show().items()},
+        invisible=seen.invisible(),
+        warnings=warnings,
+        notes=[*warnings, *_doubts(explanation), *case.notes],
+        sentence=said if passed.trusted else distrusted(said),
     )
 
 

@@ -3,15 +3,17 @@
 from collections.abc import Mapping, Sequence
 
 from vehicle_sbi.mismatch.answer import Estimate, Named, Place, Unknown, listed, quantity
+from vehicle_sbi.mismatch.candidates import null
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.improve import Gain
 from vehicle_sbi.mismatch.locate import Stretch, lies_in, spoken
-from vehicle_sbi.mismatch.separability import Card
+from vehicle_sbi.mismatch.separability import Candidate, Card
 from vehicle_sbi.physics.effects import CATALOGUE
 
 SPELLED_OUT = 5  # parameters of an effect at most
 ALTERNATIVES = 5  # explanations that are named beside the likeliest one
 HARDLY_COVERED = 0.75  # share of the 90 % band, below which what was held out is not what the model predicts
+EXAMPLES = 3  # effects that are named of those that would have shown
 SPOKEN_OF = 0.2  # probability from which effects, and something unknown, are spoken of
 
 
@@ -47,6 +49,11 @@ def sentence(
         gain = f"On held-out data the extended model gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample"
         said.append(f"{gain}." if gained.certain else f"{gain}, which is not certain to be a gain.")
     return " ".join(said)
+
+
+def distrusted(said: str) -> str:
+    """The same of a fit that is not to be trusted."""
+    return f"The base model's fit is not to be trusted; by it, {said[0].lower()}{said[1:]}"
 
 
 def _difference(p_value: float, mismatch: Sequence[Place]) -> str:
@@ -103,11 +110,20 @@ def _unlike(covered: float) -> str:
 
 
 def _limits(seen: Card) -> str:
-    """What could not have been seen at all."""
-    hidden = [c.parameter.name for c in seen.candidates if not c.visible]
-    if len(hidden) == len(seen.candidates):
+    """How many of the effects that are not fitted would have been seen, and those seen best by their sizes."""
+    shown = seen.could_show()
+    if not shown:
         return "But they are too short or too gentle to show any known effect."
-    return f"They would have shown {len(seen.candidates) - len(hidden)} of {len(seen.candidates)} known effects."
+    known = len(shown) + len(seen.invisible())
+    best = ", ".join(f"{c.parameter.name} from {_least(c)}" for c in list(shown.values())[:EXAMPLES])
+    return f"They would have shown {len(shown)} of the {known} known effects that are not fitted, among them {best}."
+
+
+def _least(seen: Candidate) -> str:
+    """The smallest size that is seen, and off what if that is not 0."""
+    rest = null(seen.parameter)
+    size = f"{seen.least} {seen.parameter.unit}".removesuffix(" 1")
+    return f"{size} off {rest:g}" if rest else size
 
 
 def _when(regime: str, within: Sequence[Stretch]) -> str:
