@@ -3,11 +3,11 @@
 import json
 import pickle
 from collections.abc import Callable, Sequence
+from html import escape
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pandas as pd
-import yaml
 from tqdm import tqdm
 
 from vehicle_sbi.files import write_atomically, write_text
@@ -23,6 +23,8 @@ from vehicle_sbi.mismatch.locate import spoken
 from vehicle_sbi.mismatch.sampled import sized
 from vehicle_sbi.mismatch.separability import Card, card
 from vehicle_sbi.mismatch.verdict import chosen, verdict
+from vehicle_sbi.report.card import LEGEND, could_show, hidden
+from vehicle_sbi.report.extended import extended
 from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
 from vehicle_sbi.report.page import in_section, write_page
 from vehicle_sbi.report.run_folder import RunFolder
@@ -114,7 +116,7 @@ def _kept(folder: RunFolder, name: str, compute: Callable[[], Result], bar: tqdm
 def write(folder: RunFolder, found: Explanation, answer: Verdict) -> None:
     """The answer and the extended model."""
     write_text(folder.path / "verdict.json", json.dumps(answer.as_json(), indent=2) + "\n")
-    write_text(folder.path / "extended.yaml", extended(found))
+    write_text(folder.path / "extended.yaml", extended(chosen(found), folder.config))
 
 
 def write_report(
@@ -138,19 +140,21 @@ def write_report(
         path / "report.html",
         title=f"Diagnosis of {case.name}",
         sections={
-            "Answer": f"<p>{_escaped(answer.sentence)}</p>",
+            "Answer": _paragraphs([answer.sentence]),
             "Explanations": in_section(html(_explanations(answer)) + _of_held_out(answer)),
             "Where": in_section(html(_places(answer))) if answer.mismatch else "<p>Nowhere beyond noise.</p>",
             "Held out": in_section(html(_scores(answer))),
-            "What these recordings could have shown": in_section(html(_card(seen))),
+            "What these recordings could have shown": in_section(html(could_show(seen)), LEGEND)
+            + _paragraphs(hidden(seen)),
         },
-        notes=answer.notes,
+        warnings=answer.warnings,
+        notes=[note for note in answer.notes if note not in answer.warnings],
         figures=pictures,
     )
 
 
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+def _paragraphs(lines: Sequence[str]) -> str:
+    return "".join(f"<p>{escape(line)}</p>" for line in lines)
 
 
 def _explanations(answer: Verdict) -> pd.DataFrame:
@@ -207,36 +211,10 @@ def _scores(answer: Verdict) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _card(seen: Card) -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "effect": [c.parameter.name for c in seen.candidates],
-            "unit": [c.parameter.unit for c in seen.candidates],
-            "shows from": [f"{c.size:.2g}" if c.visible else "not here" for c in seen.candidates],
-            "left by the fit": [f"{c.retained:.0%}" for c in seen.candidates],
-        }
-    )
-
-
-def extended(found: Explanation) -> str:
-    """A configuration of scripts/run.py for the extended model, its parameters free in the boxes that were searched."""
-    model = chosen(found)
-    space = model.fit.simulator.space
-    prior: dict[str, Any] = {}
-    for p in space.parameters:
-        effect, _, parameter = p.name.rpartition(".")
-        (prior.setdefault(effect, {}) if effect else prior)[parameter] = [float(p.low), float(p.high)]
-    head = (
-        "# @package _global_\n"
-        "# The extended model: copy to conf/experiment/NAME.yaml, then python scripts/run.py experiment=NAME\n"
-    )
-    return head + yaml.safe_dump({"effects": list(model.effects), "prior": prior}, sort_keys=False)
-
-
 def show(folder: RunFolder) -> None:
-    """Print the sentence of a finished diagnosis, and the paths of what it wrote."""
+    """Print the warnings and the sentence of a finished diagnosis, and the paths of what it wrote."""
     answer = json.loads((folder.path / "verdict.json").read_text())
-    print(answer["sentence"])
+    print(*answer.get("warnings", []), answer["sentence"], sep="\n")
     if answer["separating_experiment"]:
         print(answer["separating_experiment"])
     print()

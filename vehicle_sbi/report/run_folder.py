@@ -92,6 +92,11 @@ class RunFolder:
         return folder
 
     @property
+    def config(self) -> dict[str, Any]:
+        """What the run was configured with."""
+        return _yaml(self.path / ".hydra" / "config.yaml")
+
+    @property
     def finished(self) -> bool:
         """Whether a run in this folder has come to its end."""
         return self.manifest["status"] == "complete"

@@ -1,0 +1,83 @@
+"""extended.yaml: the extended model of a diagnosis as an experiment of scripts/run.py, complete in itself.
+
+Hydra merges an experiment into what run.py starts from. Of the groups that are stated here nothing of that remains, so
+that the model is the diagnosed one whatever the defaults are.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import yaml
+
+from vehicle_sbi.mismatch.examine import Model
+from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.physics.effects import CATALOGUE
+
+STATED = ("vehicle", "prior", "recording", "noise")
+HEAD = """\
+# @package _global_
+# The extended model of a diagnosis: copy to conf/experiment/NAME.yaml, then python scripts/run.py experiment=NAME
+"""
+OTHERS = """\
+# It is inferred from the first of the recordings that were diagnosed. For another one put its path under recording, or,
+# where conf/recording names it, what it says there:
+"""
+
+
+def extended(model: Model, config: Mapping[str, Any]) -> str:
+    """The experiment that infers a model from the first recording of the diagnosis that was configured so, its
+    parameters free in the boxes that were searched."""
+    first, *others = [_settings(one, config["recording"]) for one in config["recordings"] or [config["recording"]]]
+    windows, effects = model.fit.simulator.windows, [*config["effects"], *model.effects]
+    stated = {
+        "effects": effects,
+        "prior": _prior(model.fit.simulator.space, effects),
+        "model": config["model"],
+        "drive": config["drive"],
+        "vehicle": _from_anywhere(config["vehicle"]),
+        "recording": first,
+        "window_s": windows.t.shape[1] / windows.rate,
+        "warmup_s": config["warmup_s"],
+        "noise": config["noise"],
+    }
+    defaults = "".join(f"  - override /{group}: null\n" for group in STATED)
+    content = yaml.dump(stated, Dumper=_Lines, sort_keys=False, width=120)
+    return f"{HEAD}{_others(others)}defaults:\n{defaults}\n{content}"
+
+
+class _Lines(yaml.SafeDumper):
+    """Writes a list on a line."""
+
+
+_Lines.add_representer(list, lambda dumper, of: dumper.represent_sequence("tag:yaml.org,2002:seq", of, flow_style=True))
+
+
+def _settings(one: str | Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
+    """How a recording is read: as it says itself, or, of a path, as all are."""
+    return _from_anywhere({**shared, "path": one, "name": None} if isinstance(one, str) else one)
+
+
+def _others(recordings: Sequence[Mapping[str, Any]]) -> str:
+    """How to infer it from another recording than the first, if there is one."""
+    return "".join([OTHERS, *(f"#   {one['path']}\n" for one in recordings)]) if recordings else ""
+
+
+def _from_anywhere(node: Any) -> Any:
+    """A part of a configuration with its paths made absolute."""
+    if isinstance(node, list):
+        return [_from_anywhere(one) for one in node]
+    if not isinstance(node, Mapping):
+        return node
+    return {key: os.path.abspath(value) if key == "path" else _from_anywhere(value) for key, value in node.items()}
+
+
+def _prior(space: ParameterSpace, effects: Sequence[str]) -> dict[str, Any]:
+    """The boxes of what is free, nested as in a prior file; null for what effects have beside that."""
+    boxes: dict[str, Any] = {p.name: [float(p.low), float(p.high)] for p in space.parameters}
+    held = {p.name: None for name in effects for p in CATALOGUE[name].parameters if p.name not in boxes}
+    prior: dict[str, Any] = {}
+    for name, box in (boxes | held).items():
+        effect, _, parameter = name.rpartition(".")
+        (prior.setdefault(effect, {}) if effect else prior)[parameter] = box
+    return prior
