@@ -85,9 +85,21 @@ class Scores:
     @property
     def log_evidence(self) -> Float[np.ndarray, " k"]:
         """Log Bayes factor of each direction at first order against none, its size uniform over the prior."""
-        std, width = self.information**-0.5, self.high - self.low
-        mass = _log_mass((self.low - self.size) / std, (self.high - self.size) / std)
-        return self.gain + mass + 0.5 * np.log(2 * np.pi) + np.log(std) - np.log(width)
+        return uniform_evidence(self.gain, self.size, self.information, self.low, self.high)
+
+
+def uniform_evidence(
+    gain: Float[np.ndarray, " k"],
+    size: Float[np.ndarray, " k"],
+    information: Float[np.ndarray, " k"],
+    low: Float[np.ndarray, " k"],
+    high: Float[np.ndarray, " k"],
+) -> Float[np.ndarray, " k"]:
+    """Log evidence of a size that is as likely anywhere from low to high, where its likelihood is normal about `size`
+    with so much information and gains so much there over none."""
+    std = information**-0.5
+    mass = _log_mass((low - size) / std, (high - size) / std)
+    return gain + mass + 0.5 * np.log(2 * np.pi) + np.log(std) - np.log(high - low)
 
 
 def _log_mass(low: Float[np.ndarray, " k"], high: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:

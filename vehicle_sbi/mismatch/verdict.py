@@ -69,11 +69,8 @@ def places(explanation: Explanation) -> list[Place]:
 
 def _named(explanation: Explanation, k: int) -> Named:
     model = explanation.models[k]
-    own = {
-        name: value
-        for name, value in estimates(model, explanation.temper).items()
-        if name.split(".")[0] in model.effects
-    }
+    every = estimates(model, explanation.temper).items()
+    own = {name: value for (name, value), mine in zip(every, model.own, strict=True) if mine}
     beside = explanation.beside_unknown.get(model.effects, 0.0)
     foretold = None if explanation.p_told is None else model.told
     return Named(model.effects, explanation.probability[k], beside, own, foretold, _acts(model, own))
