@@ -23,7 +23,7 @@ from vehicle_sbi.mismatch.linear import ITERATIONS, LEAST_VARIANCE, Linearised, 
 from vehicle_sbi.mismatch.staircase import Staircase, Staircases
 
 DRAWS = 500  # of noise, behind a p-value
-CHUNK = 100  # of them at once
+CHUNK = 100  # of them, and of directions, at once
 
 
 @dataclass(frozen=True)
@@ -176,9 +176,11 @@ class Singles:
         high: Float[np.ndarray, " k"],
     ) -> "Singles":
         """Of directions whose sizes are within low and high."""
-        G = about.absorbed(np.nan_to_num(changes))
-        scale = np.sqrt(np.maximum(np.mean(G**2, axis=(1, 2)), LEAST_VARIANCE))
-        left = (G / scale[:, None, None]).astype(np.float32)
+        left, scale = np.empty(changes.shape, np.float32), np.empty(len(changes))
+        for part in (slice(first, first + CHUNK) for first in range(0, len(changes), CHUNK)):
+            G = about.absorbed(np.nan_to_num(changes[part]))
+            scale[part] = np.sqrt(np.maximum(np.mean(G**2, axis=(1, 2)), LEAST_VARIANCE))
+            left[part] = G / scale[part, None, None]
         return cls(about, left, about.squares(left)[:, :, None].astype(float), low * scale, high * scale)
 
     def scores(self, e: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, "n k"]:
