@@ -309,6 +309,20 @@ def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
     assert row["removed"] == pytest.approx(0.75)
 
 
+def test_of_what_is_reducible_the_oracle_removes_all_the_base_model_nothing_and_what_is_spoilt_counts() -> None:
+    gust = truth("single", {"gust": {"force": 1000.0}})
+    base, knowing = {"a_y": 0.5, "yaw_rate": 0.30}, {"a_y": 0.1, "yaw_rate": 0.29}  # a_y is reducible, yaw rate hardly
+
+    def removed(extended: dict[str, float], base: dict[str, float] = base) -> float | None:
+        fit = {"base": {"nrmse": base}, "extended": {"nrmse": extended}}
+        return scores.score(gust, verdict([(["gust"], 1.0)], 0.0, 0.0, fit=fit), knowing)["removed"]
+
+    assert removed(knowing) == pytest.approx(1.0)
+    assert removed(base) == 0.0
+    assert removed(knowing | {"yaw_rate": 0.50}) == pytest.approx((0.4 - 0.2) / 0.41)
+    assert removed(knowing, knowing | {"yaw_rate": 0.30}) is None
+
+
 def test_places_are_held_against_the_truth_in_each_recording() -> None:
     drag = truth("outside", {"dragging_rear_wheel": {"start": 2.0, "torque": 20.0}})
     drag["effects"]["dragging_rear_wheel"]["spans"] = {"a": (2.0, 6.0), "b": (2.0, 8.0)}
@@ -341,6 +355,28 @@ def test_a_profile_has_one_error_and_what_is_not_said_of_it_counts_as_none() -> 
     row = scores.score(grade, said)
     assert row["size_error"] == pytest.approx(1.0)  # (0.03, -0.04, 0) of (0.03, 0.04, 0)
     assert row["size_covered"] == 0.0
+
+
+def test_what_is_not_said_of_a_named_effect_counts_as_none() -> None:
+    bias = truth("single", {"accelerometer_bias": {"x": 0.2, "y": 0.1}})
+    said = verdict([(["accelerometer_bias"], 1.0)], 0.0, 0.0)
+    said["explanations"][0]["parameters"] = {"accelerometer_bias.y": {"mean": 0.1, "q05": 0.05, "q95": 0.15}}
+    row = scores.score(bias, said)
+    assert (row["size_error"], row["size_covered"]) == (pytest.approx(0.5), 0.5)  # nothing and all of what there is
+    said["explanations"][0]["parameters"] = {}
+    row = scores.score(bias, said)
+    assert (row["size_error"], row["size_covered"]) == (1.0, 0.0)
+
+
+def test_sizes_are_those_of_the_set_that_is_likeliest_by_itself_or_beside_something_unknown() -> None:
+    real = truth("single", {"gyro_bias": {"z": 0.01}}, level="L2")
+    said = verdict([(["body_roll"], 0.1), (["gyro_bias"], 0.0)], 0.0, 0.9)
+    said["explanations"][1] |= {
+        "beside_unknown": 0.8, "parameters": {"gyro_bias.z": {"mean": 0.011, "q05": 0.009, "q95": 0.013}}
+    }  # fmt: skip
+    row = scores.score(real, said)
+    assert row["correct"]
+    assert (row["size_error"], row["size_covered"]) == (pytest.approx(0.1), 1.0)
 
 
 def test_an_oracle_is_no_better_than_the_noise_and_no_worse_than_who_does_not_know(tmp_path: Path) -> None:

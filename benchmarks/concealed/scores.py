@@ -19,7 +19,7 @@ from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 
 INTERVAL = 0.9
 NONE, UNKNOWN = frozenset(["none"]), frozenset(["unknown"])
-REDUCIBLE = 0.05  # of the oracle's error, that the base model's has to exceed it by to count as reducible
+REDUCIBLE = 0.05  # of the oracle's error, that the base model's has to exceed it by in some channel to be reducible
 SHAPES = frozenset(
     name for name in EFFECT_PARAMETERS
     if name.split(".")[1] in ("arm", "duration", "front_share", "lag", "start") or name == "payload.x"
@@ -127,25 +127,24 @@ def _overlap(true: Sequence[Span], said: Sequence[Span]) -> tuple[float, float]:
 
 def _sizes(truth: Json, verdict: Json, best: Answer) -> dict[str, Any]:
     """Relative error (of the distance from null) and 90 % coverage of the parameters of effects that are named, the
-    former also without what only gives an effect its shape."""
-    if not verdict["explanations"] or truth["kind"] not in ("single", "pair") or not right(truth) & best:
+    former also without what only gives an effect its shape. What is not said of them counts as said to be null."""
+    if truth["kind"] not in ("single", "pair") or not right(truth) & best:
         return {"size_error": None, "size_alone": None, "size_covered": None}
-    stated, errors, alone, covered = verdict["explanations"][0]["parameters"], [], [], []
+    stated = next(e["parameters"] for e in verdict["explanations"] if set(e["effects"]) == best - UNKNOWN)
+    errors: list[float] = []
+    alone: list[float] = []
+    covered: list[bool] = []
     for effect, facts in truth["effects"].items():
-        for names in _profiles(effect, facts["active"]):
+        for names in _profiles(effect, facts["active"]) if effect in best else ():
             null = np.array([EFFECT_PARAMETERS[name].null or 0.0 for name in names])
             value = np.array([facts["parameters"][name.split(".")[1]] for name in names])
-            said = [name for name in names if name in stated]
-            if said and not np.array_equal(value, null):
-                means = [
-                    stated[name]["mean"] if name in stated else none for name, none in zip(names, null, strict=True)
-                ]
-                errors.append(float(np.linalg.norm(means - value) / np.linalg.norm(value - null)))
-                alone += [] if names[0] in SHAPES else errors[-1:]
-                sizes = {
-                    name: x for name, x, none in zip(names, value, null, strict=True) if name in said and x != none
-                }
-                covered += [stated[name]["q05"] <= x <= stated[name]["q95"] for name, x in sizes.items()]
+            if np.array_equal(value, null):
+                continue
+            means = [stated[name]["mean"] if name in stated else none for name, none in zip(names, null, strict=True)]
+            errors.append(float(np.linalg.norm(means - value) / np.linalg.norm(value - null)))
+            alone += [] if names[0] in SHAPES else errors[-1:]
+            sizes = {name: x for name, x, none in zip(names, value, null, strict=True) if x != none}
+            covered += [name in stated and stated[name]["q05"] <= x <= stated[name]["q95"] for name, x in sizes.items()]
     return {
         "size_error": float(np.mean(errors)) if errors else None,
         "size_alone": float(np.mean(alone)) if alone else None,
@@ -175,14 +174,17 @@ def _base(truth: Json, verdict: Json) -> dict[str, Any]:
 
 
 def _removed(verdict: Json, oracle: Mapping[str, float] | None) -> float | None:
-    """Share of the held-out misfit beyond the oracle's that the extended model takes away, over channels."""
+    """Share of the held-out misfit beyond the oracle's that the extended model takes away, over all channels: it loses
+    by what it spoils in any, and one as good as the oracle takes away all."""
     fit = verdict.get("fit") or {}
     if not oracle or not fit.get("extended"):
         return None
     base, extended = fit["base"]["nrmse"], fit["extended"]["nrmse"]
-    shared = [c for c in base if c in extended and c in oracle and base[c] > (1.0 + REDUCIBLE) * oracle[c]]
-    over = sum(base[c] - oracle[c] for c in shared)
-    return sum(base[c] - extended[c] for c in shared) / over if shared else None
+    shared = [c for c in base if c in extended and c in oracle]
+    if not any(base[c] > (1.0 + REDUCIBLE) * oracle[c] for c in shared):
+        return None
+    reducible = sum(max(base[c] - oracle[c], 0.0) for c in shared)
+    return sum(base[c] - extended[c] for c in shared) / reducible
 
 
 def row(folder: Path, index: int) -> dict[str, Any]:
