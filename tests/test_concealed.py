@@ -259,7 +259,25 @@ def truth(kind: str, effects: dict[str, dict[str, float]], level: str = "L0", **
 def verdict(explanations: list[tuple[list[str], float]], none: float, unknown: float, **more: object) -> dict:
     named = [{"effects": names, "probability": p, "parameters": {}, "acts": {}} for names, p in explanations]
     plain = {"detected": True, "p_value": 0.001, "explanations": named, "p_none": none, "p_unknown": unknown}
+    plain |= {"effects": {effect: p for names, p in explanations for effect in names}}
     return plain | {"mismatch": [], "indistinguishable": [], "unknown": None, "fit": {}, "base_parameters": {}} | more
+
+
+def table(*scored: tuple[dict, dict]) -> pd.DataFrame:
+    """Rows as of cases that were diagnosed, from truths and what they scored."""
+    return pd.DataFrame(
+        {
+            "level": one["level"], "kind": one["kind"], "effects": " + ".join(one["effects"]), "snr": 8.0,
+            "snr_beyond": 8.0, "detectable": True, "seconds": 1.0,
+        } | row
+        for one, row in scored
+    )  # fmt: skip
+
+
+def cell(rows: pd.DataFrame, metric: str) -> str:
+    """What the page says of a metric over all cases, and of how many."""
+    middle, _, rest = summary.summary(rows).set_index("metric")["all"][metric].partition(" (")
+    return f"{middle} of {rest.rstrip(')').split('; ')[1]}"
 
 
 def test_scores_of_hand_made_verdicts() -> None:
@@ -288,6 +306,43 @@ def test_scores_of_hand_made_verdicts() -> None:
     assert scores.score(bias, mixed)["answer"] == "unknown"  # in simulation nothing unknown stands beside what is known
 
 
+def test_a_known_effect_beside_something_unknown_is_told_from_something_unknown_alone() -> None:
+    strange = truth("outside", {"cross_talk": {"leak": 1.0}})
+    scored = []
+    for beside in (0.0, 0.4, 0.5):  # of 0.9 that something is unknown; alone are 0.9, 0.5 and 0.4
+        said = verdict([(["gyro_bias"], 0.1)], 0.0, 0.9)
+        said["explanations"][0]["beside_unknown"] = beside
+        scored.append(scores.score(strange, said))
+    assert [one["named_beside"] for one in scored] == [False, False, True]
+    assert all(one["said_unknown"] and not one["wrong_name"] for one in scored)
+    scored.append(scores.score(strange, verdict([(["gyro_bias"], 0.6)], 0.0, 0.4)))  # not called unknown: not asked
+    rows = table(*((strange, one) for one in scored))
+    assert cell(rows, "called unknown, but a known effect named beside it") == "0.33 of 3"
+    assert cell(rows, "wrong name, truth outside the catalogue") == "0.25 of 4"
+
+
+def test_a_name_that_is_said_to_be_alike_is_worth_half_in_one_row_and_nothing_in_the_next() -> None:
+    bias = truth("single", {"gyro_bias": {"z": 0.01}})
+    alike = scores.score(
+        bias, verdict([(["road_bank"], 1.0)], 0.0, 0.0, indistinguishable=[["road_bank", "gyro_bias"]])
+    )
+    assert cell(table((bias, alike)), "top-1, given detected, half for what is said to be alike") == "0.50 of 1"
+    assert cell(table((bias, alike)), "the same, nothing for what is alike") == "0.00 of 1"
+
+
+def test_on_real_recordings_one_name_is_held_against_one_name_of_simpler_methods() -> None:
+    real = truth("single", {"gyro_bias": {"z": 0.01}}, level="L2")
+    said = verdict([(["body_roll", "gyro_bias"], 0.9)], 0.0, 0.1)
+    rows = []
+    for effects in ({"gyro_bias": 0.95, "body_roll": 0.9}, {"body_roll": 0.95, "gyro_bias": 0.9}, {}):
+        rows.append((real, scores.score(real, said | {"effects": effects})))
+    assert [one["correct"] for _, one in rows] == [True] * 3
+    beside = summary.beside_baselines(table(*rows), 40).set_index("method")
+    assert beside["L2"]["this project"].startswith("0.33 ")
+    known = truth("single", {"gyro_bias": {"z": 0.01}})  # in simulation the answer has to be that effect alone
+    assert not scores.score(known, said | {"effects": {"gyro_bias": 0.95, "body_roll": 0.9}})["first_right"]
+
+
 def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
     gust = truth("single", {"gust": {"force": 1000.0, "start": 2.0, "duration": 2.0}})
     said = verdict([(["gust"], 1.0)], 0.0, 0.0)
@@ -307,6 +362,10 @@ def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
     assert row["size_covered"] == pytest.approx(2 / 3)
     assert (row["bias_before"], row["bias_after"]) == (pytest.approx(2.0), pytest.approx(0.5))
     assert row["removed"] == pytest.approx(0.75)
+    mute = verdict([(["gust"], 1.0)], 0.0, 0.0)  # names the effect, and no time
+    rows = table((gust, row), (gust, scores.score(gust, mute)))
+    assert cell(rows, "overlap (IoU) of a time-local effect").endswith(" of 2")
+    assert cell(rows, "its onset's error where one is stated [s]") == "1.00 of 1"
 
 
 def test_of_what_is_reducible_the_oracle_removes_all_the_base_model_nothing_and_what_is_spoilt_counts() -> None:

@@ -30,12 +30,12 @@ Json = Mapping[str, Any]
 Span = tuple[float, float]
 
 
-def answers(verdict: Json, *, real: bool = False) -> list[tuple[Answer, float]]:
-    """All answers with their probabilities, the likeliest first; of a real recording each known set with something
-    unknown beside it is an answer of its own."""
+def answers(verdict: Json, *, apart: bool) -> list[tuple[Answer, float]]:
+    """All answers with their probabilities, the likeliest first. `apart`: each known set with something unknown beside
+    it is an answer of its own, as of real recordings; else it is part of *unknown*."""
     named = [(frozenset(e["effects"]), float(e["probability"])) for e in verdict["explanations"]]
     beside = [(frozenset(e["effects"]) | UNKNOWN, e.get("beside_unknown", 0.0)) for e in verdict["explanations"]]
-    beside = beside if real else []
+    beside = beside if apart else []
     unknown = max(float(verdict["p_unknown"]) - sum(p for _, p in beside), 0.0)
     rest = [(NONE, float(verdict["p_none"])), (UNKNOWN, unknown)]
     return sorted([*named, *beside, *rest], key=lambda one: -one[1])
@@ -59,9 +59,20 @@ def _half(answer: Answer, truth: Json, verdict: Json) -> bool:
     return right(truth) <= answer.union(*groups) if truth["kind"] in ("single", "pair") else False
 
 
+def _names_beside(verdict: Json) -> bool:
+    """Whether a set of known effects with something unknown is likelier than something unknown alone."""
+    found = dict(answers(verdict, apart=True))
+    return max((p for answer, p in found.items() if answer > UNKNOWN), default=0.0) > found[UNKNOWN]
+
+
 def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """What one verdict is worth; None where a question does not arise. `oracle`: NRMSE of one who knows, by channel."""
-    ranked = answers(verdict, real=truth["level"] == "L2")
+    """What one verdict is worth; None where a question does not arise. `oracle`: NRMSE of one who knows, by channel.
+
+    `first_right` is for comparison with methods that name one effect after the other: on L2, where an answer may hold
+    several, it asks for the most probable of them alone.
+    """
+    real = truth["level"] == "L2"
+    ranked = answers(verdict, apart=real)
     top, kind = ranked[0], truth["kind"]
     correct = [agrees(answer, truth) for answer, _ in ranked]
     likely = int(np.searchsorted(np.cumsum([p for _, p in ranked]), INTERVAL - 1e-9)) + 1
@@ -76,6 +87,7 @@ def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None)
         "answer": " + ".join(sorted(top[0])),
         "probability": top[1],
         "correct": correct[0],
+        "first_right": next(iter(verdict["effects"]), "none") in truth["effects"] if real else correct[0],
         "p_none": missing[0],
         "p_unknown": missing[1],
         "top1": 1.0 if correct[0] else half,
@@ -85,6 +97,7 @@ def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None)
         "both": correct[0] if kind == "pair" else None,
         "wrong_name": best[1] > max(missing) if kind == "outside" else None,
         "said_unknown": top[0] == UNKNOWN if kind == "outside" else None,
+        "named_beside": _names_beside(verdict) if kind == "outside" and top[0] == UNKNOWN else None,
     }
     return row | _place(truth, verdict, top[0]) | _sizes(truth, verdict, best[0]) | _base(truth, verdict) | {
         "removed": _removed(verdict, oracle)
