@@ -2,13 +2,26 @@
 
 import json
 import math
+import platform
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from concealed import baselines, cases, concealment, drives, injected, oracle, outside, scores, setups, summary
+from concealed import (
+    baselines,
+    campaign,
+    cases,
+    concealment,
+    drives,
+    injected,
+    oracle,
+    outside,
+    scores,
+    setups,
+    summary,
+)
 from concealed.mix import slot
 from concealed.strength import Given, Noise, Projection, fit, residual, snr
 from concealed.twin import Twin
@@ -341,6 +354,57 @@ def test_on_real_recordings_one_name_is_held_against_one_name_of_simpler_methods
     assert beside["L2"]["this project"].startswith("0.33 ")
     known = truth("single", {"gyro_bias": {"z": 0.01}})  # in simulation the answer has to be that effect alone
     assert not scores.score(known, said | {"effects": {"gyro_bias": 0.95, "body_roll": 0.9}})["first_right"]
+
+
+def test_a_diagnosis_without_a_verdict_is_wrong_in_every_row_of_its_kind(tmp_path: Path) -> None:
+    facts = {"world": "", "regime": "", "snr_drawn": 8.0, "snr": 8.0, "detectable": True}
+    effects: dict[str, dict[str, dict[str, float]]] = {
+        "none": {}, "single": {"gust": {"force": 1.0, "start": 2.0}}, "outside": {"cross_talk": {"leak": 1.0}},
+        "pair": {"gyro_bias": {"z": 0.01}, "aero_drag": {"area": 0.5}},
+    }  # fmt: skip
+    (tmp_path / "sealed").mkdir()
+    for i, (kind, concealed) in enumerate(effects.items()):
+        case, one = tmp_path / "cases" / f"{i:04d}", truth(kind, concealed, **facts)
+        for fact in one["effects"].values():
+            fact["snr_beyond"] = 8.0
+        case.mkdir(parents=True)
+        (case / "case.yaml").write_text("{drive: speed, recordings: [a]}")
+        (tmp_path / "sealed" / f"{i:04d}.json").write_text(json.dumps(one))
+    untried = campaign.gather(tmp_path, 4)
+    assert "4 cases, 0 of them diagnosed, 0 without a verdict" in summary.report(untried, "", "", 40)
+    for case in (tmp_path / "cases").iterdir():
+        (case / "run.json").write_text('{"seconds": 1800.0, "status": -9}')
+    rows = campaign.gather(tmp_path, 4)
+    assert "4 cases, 4 of them diagnosed, 4 without a verdict" in summary.report(rows, "", "", 40)
+    worst = {
+        "false alarms, nothing missing, p < 0.05": "1.00 of 1",
+        "false alarms, nothing missing, p < 0.01": "1.00 of 1",
+        "detected at SNR 8": "0.00 of 2",
+        "top-1, given detected, half for what is said to be alike": "0.00 of 1",
+        "top-2, given detected, half for what is said to be alike": "0.00 of 1",
+        "truth in the 90 % set": "0.00 of 2",
+        "wrong name, truth outside the catalogue": "1.00 of 1",
+        "both of a pair, given detected": "0.00 of 1",
+        "at least half of a pair, given detected": "0.00 of 1",
+        "overlap (IoU) of a time-local effect": "0.00 of 1",
+        "seconds a diagnosis": "1800.0 of 4",
+    }
+    assert {metric: cell(rows, metric) for metric in worst} == worst
+    assert not summary.summary(rows)["metric"].str.contains("size of the 90 % set").any()  # there is none
+    assert summary.beside_baselines(rows, 40).set_index("method")["L0"]["this project"].startswith("0.00 ")
+    assert summary.misses(rows).set_index("effect")["said instead"]["gust"] == "no verdict (1)"
+
+
+def test_the_page_says_by_which_command_and_on_which_processor_it_was_made() -> None:
+    nothing = truth("none", {})
+    rows = table((nothing, scores.score(nothing, verdict([], 1.0, 0.0))))
+    where = campaign.machine(2)
+    page = summary.report(rows, "python scripts/prove.py cases=1 seed=0 mix=concealed", where, 40)
+    assert page.startswith("# Concealed effects\n\n`python scripts/prove.py cases=1 seed=0 mix=concealed`\n\n1 cases, ")
+    assert page.endswith(f"{where}\n")
+    assert campaign.processor()
+    assert f", {campaign.processor()}, " in where
+    assert platform.platform() not in where
 
 
 def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:

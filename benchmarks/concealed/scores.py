@@ -3,7 +3,7 @@
 An answer is a set of effects, `none` or `unknown`; the right one is the set that was concealed, `none` where nothing is
 missing, `unknown` where what is missing lies outside the catalogue. On real recordings (L2) the right answer contains
 the injected effect, alone or beside others or something unknown, for what else the car has that the model lacks is not
-known; nor are their controls false alarms.
+known; nor are their controls false alarms. A diagnosis that ended without a verdict is wrong about everything.
 """
 
 import json
@@ -28,6 +28,12 @@ SHAPES = frozenset(
 Answer = frozenset[str]
 Json = Mapping[str, Any]
 Span = tuple[float, float]
+SILENT: Json = {
+    "detected": False, "p_value": 1.0, "explanations": [], "effects": {}, "p_none": 0.0, "p_unknown": 0.0,
+    "mismatch": [], "unknown": None,
+}  # fmt: skip
+"""A verdict that says nothing."""
+NO_VERDICT = "no verdict"  # the answer of a diagnosis that crashed or ran out of time
 
 
 def answers(verdict: Json, *, apart: bool) -> list[tuple[Answer, float]]:
@@ -102,6 +108,16 @@ def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None)
     return row | _place(truth, verdict, top[0]) | _sizes(truth, verdict, best[0]) | _base(truth, verdict) | {
         "removed": _removed(verdict, oracle)
     }  # fmt: skip
+
+
+def unsaid(truth: Json) -> dict[str, Any]:
+    """What is scored where there is no verdict: wrong, whatever is asked of such a case; an alarm where none is due."""
+    alarm = truth["kind"] == "none" or not truth["detectable"]
+    wrong = {
+        "detected": alarm, "detected_at_1": alarm, "answer": NO_VERDICT, "correct": False, "first_right": False,
+        "top1": 0.0, "top2": 0.0, "in_set": False, "wrong_name": True if truth["kind"] == "outside" else None,
+    }  # fmt: skip
+    return score(truth, SILENT) | wrong | dict.fromkeys(["p_value", "probability", "p_none", "p_unknown", "set_size"])
 
 
 def _place(truth: Json, verdict: Json, answer: Answer) -> dict[str, Any]:
@@ -226,6 +242,8 @@ def row(folder: Path, index: int) -> dict[str, Any]:
         knowing = folder / "sealed" / f"{name}.oracle.json"
         oracle = json.loads(knowing.read_text()) if knowing.exists() else None
         out |= score(truth, json.loads(verdict.read_text()), oracle)
+    elif run.exists():
+        out |= unsaid(truth)
     said = json.loads((case / "baselines.json").read_text()) if (case / "baselines.json").exists() else {}
     for method, names in said.items():
         out[f"{method}_answer"] = names[0] if names else "none"
