@@ -259,9 +259,8 @@ def test_held_out_recordings_are_sampled_like_the_others(tmp_path: Path) -> None
 def test_another_stretch_of_the_same_file_is_other_data(tmp_path: Path) -> None:
     a = written(tmp_path / "a.csv", 0)
     channels = ("a_x", "a_y", "yaw_rate")
-    first, second = (
-        RecordingFile(path=str(a), channels=channels, **cut) for cut in ({"stop_s": 5.0}, {"start_s": 5.0})
-    )
+    whole = RecordingFile(path=str(a), channels=channels)
+    first, second = replace(whole, stop_s=5.0), replace(whole, start_s=5.0)
     case = replace(diagnosis([a], recording=first, window_s=2.0), recordings=[first], heldout=[second])
     assert case.prepare().apart
     with pytest.raises(InputError, match="is also fitted"):

@@ -368,7 +368,7 @@ def test_a_diagnosis_without_a_verdict_is_wrong_in_every_row_of_its_kind(tmp_pat
         for fact in one["effects"].values():
             fact["snr_beyond"] = 8.0
         case.mkdir(parents=True)
-        (case / "case.yaml").write_text("{drive: speed, recordings: [a]}")
+        (case / "case.yaml").write_text("{drive: speed, recordings: [a], channels: [a_y, yaw_rate]}")
         (tmp_path / "sealed" / f"{i:04d}.json").write_text(json.dumps(one))
     untried = campaign.gather(tmp_path, 4)
     assert "4 cases, 0 of them diagnosed, 0 without a verdict" in summary.report(untried, "", "", 40)
@@ -534,3 +534,9 @@ def test_intervals_and_calibration_by_hand() -> None:
     assert summary.interval([1.0] * 10) == (pytest.approx(0.05**0.1), 1.0)
     table = pd.DataFrame({"probability": [0.95, 0.95, 0.65, 0.65], "correct": [1.0, 1.0, 1.0, 0.0]})
     assert summary.calibration_error(table) == pytest.approx(0.5 * 0.05 + 0.5 * 0.15)
+
+
+def test_a_sensor_that_is_not_recorded_has_no_size() -> None:
+    assert not scores._recorded("accelerometer_scale.x", ["a_y", "yaw_rate"])
+    assert scores._recorded("accelerometer_scale.y", ["a_y", "yaw_rate"])
+    assert scores._recorded("body_roll.gradient", ["a_x"])

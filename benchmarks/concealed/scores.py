@@ -25,6 +25,11 @@ SHAPES = frozenset(
     if name.split(".")[1] in ("arm", "duration", "front_share", "lag", "start") or name == "payload.x"
 )  # fmt: skip
 """Parameters that say where, when or how late an effect acts, and mean nothing without its size."""
+OF_ONE_CHANNEL: Mapping[str, str] = {
+    "accelerometer_bias.x": "a_x", "accelerometer_bias.y": "a_y", "accelerometer_scale.x": "a_x",
+    "accelerometer_scale.y": "a_y", "gyro_bias.z": "yaw_rate", "gyro_scale.z": "yaw_rate",
+}  # fmt: skip
+"""Parameters of sensors, which nothing shows where that channel is not recorded."""
 Answer = frozenset[str]
 Json = Mapping[str, Any]
 Span = tuple[float, float]
@@ -216,12 +221,19 @@ def _removed(verdict: Json, oracle: Mapping[str, float] | None) -> float | None:
     return sum(base[c] - extended[c] for c in shared) / reducible
 
 
+def _recorded(parameter: str, channels: Sequence[str]) -> bool:
+    """Whether a parameter acts on anything that is recorded."""
+    return OF_ONE_CHANNEL.get(parameter, channels[0]) in channels
+
+
 def row(folder: Path, index: int) -> dict[str, Any]:
     """One case: what it is, what was said of it, what the baselines say, how long it took."""
     case, name = folder / "cases" / f"{index:04d}", f"{index:04d}"
     truth = json.loads((folder / "sealed" / f"{name}.json").read_text())
     told = yaml.safe_load((case / "case.yaml").read_text())
     facts = list(truth["effects"].values())
+    for effect, one in truth["effects"].items():
+        one["active"] = [key for key in one["active"] if _recorded(f"{effect}.{key}", told["channels"])]
     noise = truth.get("noise") or {}
     out: dict[str, Any] = {
         "case": index,

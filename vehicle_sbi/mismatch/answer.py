@@ -133,9 +133,10 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Score:
-    """A model's prediction of what was held out."""
+    """A model's prediction of what was held out; CRPS in each channel's unit."""
 
     nrmse: dict[str, float]
+    crps: dict[str, float]
     log_score: float
     coverage90: float
 
@@ -143,7 +144,8 @@ class Score:
 @dataclass(frozen=True)
 class Verdict:
     """What the diagnosis says; its fields are those of verdict.json. `effects`: how probable it is that each of them is
-    missing, whatever else is."""
+    missing, whatever else is; `share_explained`: what the likeliest set explains of the squared score of all that was
+    found."""
 
     schema: int
     detected: bool
@@ -153,6 +155,7 @@ class Verdict:
     effects: dict[str, float]
     p_none: float
     p_unknown: float
+    share_explained: float | None
     unknown: Unknown | None
     indistinguishable: list[list[str]]
     separating_experiment: str

@@ -103,11 +103,12 @@ def verdict(
     before, after = (estimates(one, explanation.temper) for one in (explanation.base.model, model))
     together = explanation.indistinguishable() if explanation.detected else []
     unknown = _unknown(explanation) if explanation.p_unknown > SPOKEN_OF else None
-    covered = predictions["base"].coverage90
+    covered = predictions["base"].coverage90 if "base" in predictions else 0.0
     fit: dict[str, object] = {"heldout": list(case.held_out_names)}
-    fit |= {name: asdict(Score(p.nrmse, p.mean_log_score, p.coverage90)) for name, p in predictions.items()}
+    fit |= {name: asdict(_score(prediction)) for name, prediction in predictions.items()}
     if gained is not None:
         fit["gain_log_score"] = asdict(gained)
+        fit["accepted"] = gained.accepted
     found = [_named(explanation, k) for k in range(min(len(explanation.models), LISTED))]
     mismatch = places(explanation) if explanation.detected else []
     rest = sum(explanation.probability[LISTED:])
@@ -120,6 +121,7 @@ def verdict(
         effects=explanation.single,
         p_none=explanation.p_none,
         p_unknown=explanation.p_unknown + rest,
+        share_explained=_share_explained(explanation),
         unknown=unknown,
         indistinguishable=exchangeable(together),
         separating_experiment=_advice(explanation, together),
@@ -128,9 +130,31 @@ def verdict(
             name: {"before": _plain(before[name]), "after": _plain(after[name]), "unit": before[name].unit}
             for name in before
         },
-        notes=[*passed.notes, *_rim(explanation.base.model.fit), *_doubts(explanation), *case.notes],
+        notes=[
+            *passed.notes,
+            *_rim(explanation.base.model.fit),
+            *_doubts(explanation),
+            *_unpredicted(explanation, predictions),
+            *case.notes,
+        ],
         sentence=sentence(explanation, found, mismatch, together, unknown, gained, seen, covered),
     )
+
+
+def _share_explained(explanation: Explanation) -> float | None:
+    """By the likeliest set, where that is the one that was examined."""
+    best = explanation.best
+    return best.share_explained if chosen(explanation).effects == best.model.effects and explanation.detected else None
+
+
+def _unpredicted(explanation: Explanation, predictions: Mapping[str, Prediction]) -> list[str]:
+    """Which models spin out where something was held out."""
+    models = ("base", "extended") if chosen(explanation) is not explanation.base.model else ("base",)
+    return [f"The {name} model cannot be simulated in what was held out." for name in models if name not in predictions]
+
+
+def _score(prediction: Prediction) -> Score:
+    return Score(prediction.nrmse, prediction.mean_crps, prediction.mean_log_score, prediction.coverage90)
 
 
 def _unknown(explanation: Explanation) -> Unknown:
