@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, truncnorm
 
+from vehicle_sbi.mismatch.agreement import disagreeing
 from vehicle_sbi.mismatch.answer import Estimate, Followed, Named, Outgrown, Place, Score, Unknown, Verdict, listed
 from vehicle_sbi.mismatch.beyond import Beyond
 from vehicle_sbi.mismatch.candidates import SPAN
@@ -204,8 +205,13 @@ def _rim(fit: Fit) -> list[str]:
 
 
 def _doubts(explanation: Explanation) -> list[str]:
-    """Which of the likely explanations recordings that were held out speak against."""
+    """Which of the likely explanations recordings that were held out speak against, and effects of the likeliest whose
+    sizes differ between recordings."""
+    differing = disagreeing(chosen(explanation)) if explanation.detected else []
     return [
+        f"{name} would be of another size in each recording: what it stands for is likely to be something else."
+        for name in differing
+    ] + [
         f"{listed(model.effects)} would predict held-out recordings worse than the base model does: what it stands "
         "for is likely to be something else."
         for model, probability in zip(explanation.models, explanation.standing, strict=True)
