@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from recorded import fitted, lateral, recorded
 
 from vehicle_sbi.data.recording import joined
