@@ -8,7 +8,6 @@ from recorded import fitted, lateral, recorded
 
 from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.examine import Model, examine, versions
-from vehicle_sbi.mismatch.experiment import advice, separations
 from vehicle_sbi.mismatch.explain import extended
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
 from vehicle_sbi.mismatch.repertoire import Repertoire
@@ -73,12 +72,3 @@ def test_a_gain_is_the_mean_difference_and_its_error_that_of_blocks() -> None:
     assert found.std == pytest.approx(np.std([1, 3, 1, 3], ddof=1) / 2)
     assert found.low < found.mean
     assert not Gain(1.0, 1.0, -0.5, 2.5).certain
-
-
-def test_a_drive_that_separates_is_one_in_which_the_models_differ(models: dict[str, Model]) -> None:
-    # Both make a_y grow in proportion to itself; the same model twice differs nowhere.
-    roll, scale = models["body_roll"], models["accelerometer_scale"]
-    assert max(one.separation for one in separations(roll, roll)) == pytest.approx(0.0, abs=1e-6)
-    ranked = [one.separation for one in separations(roll, scale)]
-    assert ranked == sorted(ranked, reverse=True)
-    assert advice(roll, roll) == ""
