@@ -10,7 +10,6 @@ from scipy.stats import norm
 
 from vehicle_sbi.mismatch.candidates import left_out
 from vehicle_sbi.mismatch.examine import Model, examine, versions
-from vehicle_sbi.mismatch.experiment import advice, separations
 from vehicle_sbi.mismatch.explain import extended
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.foretell import foretold
@@ -119,12 +118,3 @@ def test_what_cannot_be_simulated_is_not_predicted() -> None:
     u[..., INPUTS.index("v_x")] = np.nan
     stalled = replace(held.simulator, windows=replace(held.simulator.windows, u=u))
     assert predict(Model((), fit, 0.0), held.extended(stalled), apart=True) is None
-
-
-def test_a_drive_that_separates_is_one_in_which_the_models_differ(models: dict[str, Model]) -> None:
-    # Both make a_y grow in proportion to itself; the same model twice differs nowhere.
-    roll, scale = models["body_roll"], models["accelerometer_scale"]
-    assert max(one.separation for one in separations(roll, roll)) == pytest.approx(0.0, abs=1e-6)
-    ranked = [one.separation for one in separations(roll, scale)]
-    assert ranked == sorted(ranked, reverse=True)
-    assert advice(roll, roll) == ""

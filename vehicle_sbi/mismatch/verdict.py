@@ -220,8 +220,9 @@ def _doubts(explanation: Explanation) -> list[str]:
 
 
 def _advice(explanation: Explanation, together: Sequence[tuple[str, ...]]) -> str:
-    """The experiment that separates the two most probable explanations, where they are hard to tell apart."""
-    return advice(*explanation.models[:2]) if len(together) > 1 else ""
+    """The experiment that separates the two most probable explanations that are hard to tell apart, if there are."""
+    model = {one.effects: one for one in explanation.models}
+    return advice(*(model[effects] for effects in together[:2])) if len(together) > 1 else ""
 
 
 def _plain(estimate: Estimate) -> dict[str, float]:
