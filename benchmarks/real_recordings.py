@@ -1,6 +1,6 @@
 """What the diagnosis says of real cars, beside what is known of them.
 
-    .venv/bin/python benchmarks/real_recordings.py        twenty minutes of one core; started again, it goes on
+    .venv/bin/python benchmarks/real_recordings.py        twenty-five minutes of one core; started again, it goes on
 
 Runs scripts/diagnose.py as a user would, and writes results/real_recordings.md. What is known is in docs/recordings.
 """
@@ -33,6 +33,7 @@ CASES = {
     "phone": ["recordings=[toyota_rav4_phone]"],
     "car": ["recordings=[toyota_rav4_car]"],
     "volvo": ["recordings=[volvo_s90_slalom]"],
+    "volvo_mixed": ["recordings=[volvo_s90_slalom_mixed]"],
     "ferrari": ["recordings=[ferrari_250lm]"],
     "ferrari_unsaturated": ["recordings=[ferrari_250lm]", "vehicle.mu=3"],
     "dart": [
@@ -92,6 +93,9 @@ def rows() -> list[tuple[str, str, str]]:
         ("Volvo S90", "body roll, or what is like it", probability(said["volvo"], "body_roll", "accelerometer_scale")),
         ("", "0.0080 rad/(m/s²) within 25 %", size(said["volvo"], "body_roll.gradient")),
         ("", "a delay of 35 to 50 ms", size(said["volvo"], "sensor_delay.can")),
+        ("Volvo S90, a_y of the VBOX", "a delay", probability(said["volvo_mixed"], "sensor_delay", "steering_delay")),
+        ("", "the yaw rate 45 ms later", size(said["volvo_mixed"], "sensor_delay.can")),
+        ("", "a_y not", size(said["volvo_mixed"], "sensor_delay.imu")),
         ("Ferrari 250 LM, mu = 3", "saturating tyres", probability(said["ferrari_unsaturated"], "friction_level")),
         ("", "a friction of 1.1 to 1.2, over 3", size(said["ferrari_unsaturated"], "friction_level.factor")),
         ("", "no grade, bank or lever arm", probability(said["ferrari_unsaturated"], *none_of)),

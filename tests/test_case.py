@@ -10,13 +10,13 @@ import pytest
 from cars import PAPER
 from recorded import lateral, recorded
 
-from vehicle_sbi.data.noise import EstimatedNoise
+from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import CHANNELS, Recording, joined, unheld
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.candidates import longest
-from vehicle_sbi.mismatch.case import Diagnosis
+from vehicle_sbi.mismatch.case import Diagnosis, _shares
 from vehicle_sbi.mismatch.locate import Block, lies_in, own_time, stretches
 from vehicle_sbi.physics.single_track import INPUTS
 
@@ -153,14 +153,14 @@ def test_a_place_on_that_clock_is_said_in_each_recordings_own_time(tmp_path: Pat
 
 
 def test_what_happens_at_a_moment_does_so_in_the_blocks_that_are_held_out_of_the_same_drive(tmp_path: Path) -> None:
-    # The clock of fitted and of held-out samples is the time of the file less that of the first sample that is fitted,
+    # The clock of fitted and of held-out samples is the time of the file less that of the first sample that is used,
     # and a profile is spread over as long a time in both.
     late = pd.read_csv(written(tmp_path / "late.csv", 0))
     late.loc[late["time_s"] < 2.0, "v_x_mps"] = 0.1
     late.to_csv(tmp_path / "late.csv", index=False)
     case = diagnosis([tmp_path / "late.csv"], window_s=2.0).prepare()
     fitted, held = (o.simulator for o in (case.observation, case.held_out))
-    begun = float(fitted.windows.t[0, 0])
+    begun = min(float(simulator.windows.t[0, 0]) for simulator in (fitted, held))
     for simulator in (fitted, held):
         clock = simulator.windows.u[..., INPUTS.index("time")]
         real = np.diff(clock, axis=1, prepend=-np.inf) > 0.0
@@ -219,3 +219,72 @@ def test_a_recording_too_short_to_hold_anything_out_is_refused_with_the_length_t
     with pytest.raises(InputError, match=r"2 s are too short to hold anything out; it takes 3\.4 s"):
         diagnosis([tmp_path / "short.csv"]).prepare()
     assert diagnosis([tmp_path / "enough.csv"]).prepare().held_out.anything
+
+
+def test_fitted_and_held_out_blocks_of_several_drives_share_one_clock(tmp_path: Path) -> None:
+    files = [written(tmp_path / f"{name}.csv", seed) for seed, name in enumerate("ab")]
+    case = diagnosis(files, window_s=2.0).prepare()
+    fitted, held = (o.simulator.windows for o in (case.observation, case.held_out))
+    spans = {}
+    for windows in (fitted, held):
+        clock = windows.u[..., INPUTS.index("time")]
+        for name in "ab":
+            mine = (np.array(windows.recordings) == name)[:, None] & (np.diff(clock, axis=1, prepend=-1.0) > 0.0)
+            assert np.ptp(clock[mine] - windows.t[mine]) < 1e-9  # one shift a recording
+            spans.setdefault(name, []).append((clock[mine].min(), clock[mine].max()))
+    assert min(start for start, _ in spans["a"]) == pytest.approx(0.0)
+    assert max(stop for _, stop in spans["a"]) < min(start for start, _ in spans["b"])
+
+
+def test_a_long_recording_leaves_short_ones_whole() -> None:
+    def part(*seconds: float) -> list[tuple[RecordingFile, Recording]]:
+        file = RecordingFile(path="x", channels=("a_y", "yaw_rate"))
+        return [(file, Recording(name="x", rate=100.0, t=np.arange(round(100.0 * s)) / 100.0, channels={}, valid={},
+                                 groups={}, source="x", sha256="")) for s in seconds]  # fmt: skip
+
+    assert _shares(part(20.0, 30.0)) == [1.0, 1.0]
+    assert _shares(part(3600.0, 60.0)) == pytest.approx([540.0 / 3600.0, 1.0])
+    assert _shares(part(3600.0, 1800.0)) == pytest.approx([300.0 / 3600.0, 300.0 / 1800.0])
+
+
+def test_of_a_recording_with_the_wheels_alone_the_liveliest_stretches_are_kept_too() -> None:
+    t = np.arange(6000) / 10.0
+    minute = (t // 60.0).astype(int)
+    channels = {
+        "steering_wheel": np.where(minute == 3, np.sin(t), 0.0),
+        "wheel_speed_rear": np.where(minute == 7, t, 60.0),
+    }
+    valid = {name: np.isfinite(values) for name, values in channels.items()}
+    whole = Recording(name="x", rate=10.0, t=t, channels=channels, valid=valid, groups={}, source="x", sha256="")
+    assert set(minute[whole.liveliest(0.2).valid["steering_wheel"]]) == {3, 7}
+
+
+def test_held_out_recordings_are_sampled_like_the_others(tmp_path: Path) -> None:
+    slow = pd.read_csv(written(tmp_path / "b.csv", 1)).iloc[::2]
+    slow.to_csv(tmp_path / "b.csv", index=False)
+    with pytest.raises(InputError, match=r"recordings a and b differ in their rate: 50\.0 and 25\.0"):
+        diagnosis([written(tmp_path / "a.csv", 0)], [tmp_path / "b.csv"], window_s=2.0).prepare()
+
+
+def test_another_stretch_of_the_same_file_is_other_data(tmp_path: Path) -> None:
+    a = written(tmp_path / "a.csv", 0)
+    channels = ("a_x", "a_y", "yaw_rate")
+    whole = RecordingFile(path=str(a), channels=channels)
+    first, second = replace(whole, stop_s=5.0), replace(whole, start_s=5.0)
+    case = replace(diagnosis([a], recording=first, window_s=2.0), recordings=[first], heldout=[second])
+    assert case.prepare().apart
+    with pytest.raises(InputError, match="is also fitted"):
+        replace(case, heldout=[first]).prepare()
+
+
+def test_a_stated_noise_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="noise: a diagnosis estimates it"):
+        diagnosis([written(tmp_path / "a.csv", 0)], noise=ConstantNoise(std={"a_y": 0.1})).prepare()
+
+
+def test_a_block_in_which_the_car_stands_holds_nothing_out_but_the_others_do(tmp_path: Path) -> None:
+    parked = pd.read_csv(written(tmp_path / "parked.csv", 0))
+    parked.loc[parked["time_s"] > 5.0, "v_x_mps"] = 0.0
+    parked.to_csv(tmp_path / "parked.csv", index=False)
+    case = diagnosis([tmp_path / "parked.csv", written(tmp_path / "b.csv", 1)], window_s=2.0)
+    assert set(case.prepare().held_out.simulator.windows.recordings) <= {"parked", "b"}

@@ -2,13 +2,26 @@
 
 import json
 import math
+import platform
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from concealed import baselines, cases, concealment, drives, injected, oracle, outside, scores, setups, summary
+from concealed import (
+    baselines,
+    campaign,
+    cases,
+    concealment,
+    drives,
+    injected,
+    oracle,
+    outside,
+    scores,
+    setups,
+    summary,
+)
 from concealed.mix import slot
 from concealed.strength import Given, Noise, Projection, fit, residual, snr
 from concealed.twin import Twin
@@ -259,7 +272,25 @@ def truth(kind: str, effects: dict[str, dict[str, float]], level: str = "L0", **
 def verdict(explanations: list[tuple[list[str], float]], none: float, unknown: float, **more: object) -> dict:
     named = [{"effects": names, "probability": p, "parameters": {}, "acts": {}} for names, p in explanations]
     plain = {"detected": True, "p_value": 0.001, "explanations": named, "p_none": none, "p_unknown": unknown}
+    plain |= {"effects": {effect: p for names, p in explanations for effect in names}}
     return plain | {"mismatch": [], "indistinguishable": [], "unknown": None, "fit": {}, "base_parameters": {}} | more
+
+
+def table(*scored: tuple[dict, dict]) -> pd.DataFrame:
+    """Rows as of cases that were diagnosed, from truths and what they scored."""
+    return pd.DataFrame(
+        {
+            "level": one["level"], "kind": one["kind"], "effects": " + ".join(one["effects"]), "snr": 8.0,
+            "snr_beyond": 8.0, "detectable": True, "seconds": 1.0,
+        } | row
+        for one, row in scored
+    )  # fmt: skip
+
+
+def cell(rows: pd.DataFrame, metric: str) -> str:
+    """What the page says of a metric over all cases, and of how many."""
+    middle, _, rest = summary.summary(rows).set_index("metric")["all"][metric].partition(" (")
+    return f"{middle} of {rest.rstrip(')').split('; ')[1]}"
 
 
 def test_scores_of_hand_made_verdicts() -> None:
@@ -288,6 +319,94 @@ def test_scores_of_hand_made_verdicts() -> None:
     assert scores.score(bias, mixed)["answer"] == "unknown"  # in simulation nothing unknown stands beside what is known
 
 
+def test_a_known_effect_beside_something_unknown_is_told_from_something_unknown_alone() -> None:
+    strange = truth("outside", {"cross_talk": {"leak": 1.0}})
+    scored = []
+    for beside in (0.0, 0.4, 0.5):  # of 0.9 that something is unknown; alone are 0.9, 0.5 and 0.4
+        said = verdict([(["gyro_bias"], 0.1)], 0.0, 0.9)
+        said["explanations"][0]["beside_unknown"] = beside
+        scored.append(scores.score(strange, said))
+    assert [one["named_beside"] for one in scored] == [False, False, True]
+    assert all(one["said_unknown"] and not one["wrong_name"] for one in scored)
+    scored.append(scores.score(strange, verdict([(["gyro_bias"], 0.6)], 0.0, 0.4)))  # not called unknown: not asked
+    rows = table(*((strange, one) for one in scored))
+    assert cell(rows, "called unknown, but a known effect named beside it") == "0.33 of 3"
+    assert cell(rows, "wrong name, truth outside the catalogue") == "0.25 of 4"
+
+
+def test_a_name_that_is_said_to_be_alike_is_worth_half_in_one_row_and_nothing_in_the_next() -> None:
+    bias = truth("single", {"gyro_bias": {"z": 0.01}})
+    alike = scores.score(
+        bias, verdict([(["road_bank"], 1.0)], 0.0, 0.0, indistinguishable=[["road_bank", "gyro_bias"]])
+    )
+    assert cell(table((bias, alike)), "top-1, given detected, half for what is said to be alike") == "0.50 of 1"
+    assert cell(table((bias, alike)), "the same, nothing for what is alike") == "0.00 of 1"
+
+
+def test_on_real_recordings_one_name_is_held_against_one_name_of_simpler_methods() -> None:
+    real = truth("single", {"gyro_bias": {"z": 0.01}}, level="L2")
+    said = verdict([(["body_roll", "gyro_bias"], 0.9)], 0.0, 0.1)
+    rows = []
+    for effects in ({"gyro_bias": 0.95, "body_roll": 0.9}, {"body_roll": 0.95, "gyro_bias": 0.9}, {}):
+        rows.append((real, scores.score(real, said | {"effects": effects})))
+    assert [one["correct"] for _, one in rows] == [True] * 3
+    beside = summary.beside_baselines(table(*rows), 40).set_index("method")
+    assert beside["L2"]["this project"].startswith("0.33 ")
+    known = truth("single", {"gyro_bias": {"z": 0.01}})  # in simulation the answer has to be that effect alone
+    assert not scores.score(known, said | {"effects": {"gyro_bias": 0.95, "body_roll": 0.9}})["first_right"]
+
+
+def test_a_diagnosis_without_a_verdict_is_wrong_in_every_row_of_its_kind(tmp_path: Path) -> None:
+    facts = {"world": "", "regime": "", "snr_drawn": 8.0, "snr": 8.0, "detectable": True}
+    effects: dict[str, dict[str, dict[str, float]]] = {
+        "none": {}, "single": {"gust": {"force": 1.0, "start": 2.0}}, "outside": {"cross_talk": {"leak": 1.0}},
+        "pair": {"gyro_bias": {"z": 0.01}, "aero_drag": {"area": 0.5}},
+    }  # fmt: skip
+    (tmp_path / "sealed").mkdir()
+    for i, (kind, concealed) in enumerate(effects.items()):
+        case, one = tmp_path / "cases" / f"{i:04d}", truth(kind, concealed, **facts)
+        for fact in one["effects"].values():
+            fact["snr_beyond"] = 8.0
+        case.mkdir(parents=True)
+        (case / "case.yaml").write_text("{drive: speed, recordings: [a], channels: [a_y, yaw_rate]}")
+        (tmp_path / "sealed" / f"{i:04d}.json").write_text(json.dumps(one))
+    untried = campaign.gather(tmp_path, 4)
+    assert "4 cases, 0 of them diagnosed, 0 without a verdict" in summary.report(untried, "", "", 40)
+    for case in (tmp_path / "cases").iterdir():
+        (case / "run.json").write_text('{"seconds": 1800.0, "status": -9}')
+    rows = campaign.gather(tmp_path, 4)
+    assert "4 cases, 4 of them diagnosed, 4 without a verdict" in summary.report(rows, "", "", 40)
+    worst = {
+        "false alarms, nothing missing, p < 0.05": "1.00 of 1",
+        "false alarms, nothing missing, p < 0.01": "1.00 of 1",
+        "detected at SNR 8": "0.00 of 2",
+        "top-1, given detected, half for what is said to be alike": "0.00 of 1",
+        "top-2, given detected, half for what is said to be alike": "0.00 of 1",
+        "truth in the 90 % set": "0.00 of 2",
+        "wrong name, truth outside the catalogue": "1.00 of 1",
+        "both of a pair, given detected": "0.00 of 1",
+        "at least half of a pair, given detected": "0.00 of 1",
+        "overlap (IoU) of a time-local effect": "0.00 of 1",
+        "seconds a diagnosis": "1800.0 of 4",
+    }
+    assert {metric: cell(rows, metric) for metric in worst} == worst
+    assert not summary.summary(rows)["metric"].str.contains("size of the 90 % set").any()  # there is none
+    assert summary.beside_baselines(rows, 40).set_index("method")["L0"]["this project"].startswith("0.00 ")
+    assert summary.misses(rows).set_index("effect")["said instead"]["gust"] == "no verdict (1)"
+
+
+def test_the_page_says_by_which_command_and_on_which_processor_it_was_made() -> None:
+    nothing = truth("none", {})
+    rows = table((nothing, scores.score(nothing, verdict([], 1.0, 0.0))))
+    where = campaign.machine(2)
+    page = summary.report(rows, "python scripts/prove.py cases=1 seed=0 mix=concealed", where, 40)
+    assert page.startswith("# Concealed effects\n\n`python scripts/prove.py cases=1 seed=0 mix=concealed`\n\n1 cases, ")
+    assert page.endswith(f"{where}\n")
+    assert campaign.processor()
+    assert f", {campaign.processor()}, " in where
+    assert platform.platform() not in where
+
+
 def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
     gust = truth("single", {"gust": {"force": 1000.0, "start": 2.0, "duration": 2.0}})
     said = verdict([(["gust"], 1.0)], 0.0, 0.0)
@@ -307,6 +426,24 @@ def test_sizes_places_and_misfits_of_a_hand_made_verdict() -> None:
     assert row["size_covered"] == pytest.approx(2 / 3)
     assert (row["bias_before"], row["bias_after"]) == (pytest.approx(2.0), pytest.approx(0.5))
     assert row["removed"] == pytest.approx(0.75)
+    mute = verdict([(["gust"], 1.0)], 0.0, 0.0)  # names the effect, and no time
+    rows = table((gust, row), (gust, scores.score(gust, mute)))
+    assert cell(rows, "overlap (IoU) of a time-local effect").endswith(" of 2")
+    assert cell(rows, "its onset's error where one is stated [s]") == "1.00 of 1"
+
+
+def test_of_what_is_reducible_the_oracle_removes_all_the_base_model_nothing_and_what_is_spoilt_counts() -> None:
+    gust = truth("single", {"gust": {"force": 1000.0}})
+    base, knowing = {"a_y": 0.5, "yaw_rate": 0.30}, {"a_y": 0.1, "yaw_rate": 0.29}  # a_y is reducible, yaw rate hardly
+
+    def removed(extended: dict[str, float], base: dict[str, float] = base) -> float | None:
+        fit = {"base": {"nrmse": base}, "extended": {"nrmse": extended}}
+        return scores.score(gust, verdict([(["gust"], 1.0)], 0.0, 0.0, fit=fit), knowing)["removed"]
+
+    assert removed(knowing) == pytest.approx(1.0)
+    assert removed(base) == 0.0
+    assert removed(knowing | {"yaw_rate": 0.50}) == pytest.approx((0.4 - 0.2) / 0.41)
+    assert removed(knowing, knowing | {"yaw_rate": 0.30}) is None
 
 
 def test_places_are_held_against_the_truth_in_each_recording() -> None:
@@ -343,6 +480,28 @@ def test_a_profile_has_one_error_and_what_is_not_said_of_it_counts_as_none() -> 
     assert row["size_covered"] == 0.0
 
 
+def test_what_is_not_said_of_a_named_effect_counts_as_none() -> None:
+    bias = truth("single", {"accelerometer_bias": {"x": 0.2, "y": 0.1}})
+    said = verdict([(["accelerometer_bias"], 1.0)], 0.0, 0.0)
+    said["explanations"][0]["parameters"] = {"accelerometer_bias.y": {"mean": 0.1, "q05": 0.05, "q95": 0.15}}
+    row = scores.score(bias, said)
+    assert (row["size_error"], row["size_covered"]) == (pytest.approx(0.5), 0.5)  # nothing and all of what there is
+    said["explanations"][0]["parameters"] = {}
+    row = scores.score(bias, said)
+    assert (row["size_error"], row["size_covered"]) == (1.0, 0.0)
+
+
+def test_sizes_are_those_of_the_set_that_is_likeliest_by_itself_or_beside_something_unknown() -> None:
+    real = truth("single", {"gyro_bias": {"z": 0.01}}, level="L2")
+    said = verdict([(["body_roll"], 0.1), (["gyro_bias"], 0.0)], 0.0, 0.9)
+    said["explanations"][1] |= {
+        "beside_unknown": 0.8, "parameters": {"gyro_bias.z": {"mean": 0.011, "q05": 0.009, "q95": 0.013}}
+    }  # fmt: skip
+    row = scores.score(real, said)
+    assert row["correct"]
+    assert (row["size_error"], row["size_covered"]) == (pytest.approx(0.1), 1.0)
+
+
 def test_an_oracle_is_no_better_than_the_noise_and_no_worse_than_who_does_not_know(tmp_path: Path) -> None:
     # What is left over cannot be less than the noise that was added, but for the initial states, which take up to 3 of
     # 500 samples, and its own scatter: 4 / sqrt(2 n) with the n of 5 s at 50 Hz, longer where noise is slow.
@@ -375,3 +534,9 @@ def test_intervals_and_calibration_by_hand() -> None:
     assert summary.interval([1.0] * 10) == (pytest.approx(0.05**0.1), 1.0)
     table = pd.DataFrame({"probability": [0.95, 0.95, 0.65, 0.65], "correct": [1.0, 1.0, 1.0, 0.0]})
     assert summary.calibration_error(table) == pytest.approx(0.5 * 0.05 + 0.5 * 0.15)
+
+
+def test_a_sensor_that_is_not_recorded_has_no_size() -> None:
+    assert not scores._recorded("accelerometer_scale.x", ["a_y", "yaw_rate"])
+    assert scores._recorded("accelerometer_scale.y", ["a_y", "yaw_rate"])
+    assert scores._recorded("body_roll.gradient", ["a_x"])

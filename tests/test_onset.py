@@ -68,13 +68,11 @@ def test_its_evidence_is_the_integral_over_size_and_the_mean_over_moments(fit: F
     starts = np.arange(7.7, 8.1, half / 40.0)  # a few samples farther there is nothing
     whole = len(moments(fit.simulator)) * half
     integral = np.sum([evidence(change) for change in changes(fit, target, starts)]) * half / 40.0 / whole
-    # Laplace's approximation of a uniform prior as a normal of its variance, which at its middle is lower by
-    # log(sqrt(12 / (2 pi))) = .32; of a likelihood to the power of N/2 (gain^2 / N, as in test_loose); and moments a
-    # tenth of a cell apart, between which a peak as narrow as one of them may rise by half of what it falls.
+    # Laplace's approximation of a likelihood to the power of N/2 (gain^2 / N, as in test_loose), and moments a tenth of
+    # a cell apart, between which a peak as narrow as one of them may rise by half of what it falls.
     fine = refined(about, target, at(about, target, moments(fit.simulator)))
     narrow = np.abs(np.diff(np.sort(fine.evidence)[-2:]))[0]
-    off = -0.5 * np.log(12.0 / (2.0 * np.pi))
-    assert np.log(integral) == pytest.approx(off, abs=found.gain**2 / 6000 + 0.5 * narrow + 0.02)
+    assert np.log(integral) == pytest.approx(0.0, abs=found.gain**2 / 6000 + 0.5 * narrow + 0.02)
 
 
 def test_what_sets_in_is_unknown_and_says_when(fit: Fit) -> None:

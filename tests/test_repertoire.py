@@ -73,3 +73,16 @@ def test_a_force_is_fitted_from_every_place_that_comes_near_the_best() -> None:
     assert len(near) > 1
     assert {start[arm] for start in version.starts} == near
     assert version.starts[0][arm] == max(evidence, key=lambda value: evidence[value])
+
+
+def test_every_start_of_a_version_is_along_the_parameter_that_was_scored() -> None:
+    fit = fitted(recorded(lateral(), imu_misalignment__pitch=0.05))
+    known = directions(fit.simulator, fit.theta, CATALOGUE["imu_misalignment"])
+    seen = glance(Model((), fit, 0.0), Repertoire.around(fit, known), np.random.default_rng(0))
+    likeliest = seen.free.directions[int(np.argmax(seen.scores.log_evidence))].parameter
+    others = {d.parameter for d in known} - {likeliest}
+    assert likeliest in seen.starts
+    assert others
+    (version,) = versions(replace(seen, joint={}, starts=seen.starts | {p: [{p: 0.06}] for p in others}))
+    assert len(version.starts) > 1
+    assert all(set(start) == {likeliest} for start in version.starts)

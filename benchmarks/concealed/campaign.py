@@ -88,8 +88,16 @@ def gather(folder: Path, n: int) -> pd.DataFrame:
     return pd.DataFrame([scores.row(folder, i) for i in built])
 
 
+def processor() -> str:
+    """What the processor is called, where the system says so; else of which kind it is."""
+    facts = Path("/proc/cpuinfo")
+    lines = facts.read_text().splitlines() if facts.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return next(iter(names), platform.processor() or platform.machine())
+
+
 def machine(workers: int) -> str:
-    where = f"{date.today()}, {platform.platform()}, {os.cpu_count()} cores"
+    where = f"{date.today()}, {processor()}, {os.cpu_count()} cores"
     at_once = f"{workers} diagnos{'i' if workers == 1 else 'e'}s at a time"
     return f"{where}, {at_once}, one thread each; the start of Python not counted."
 
@@ -125,7 +133,8 @@ def prove(
     table = gather(folder, n)
     if table.empty:
         raise InputError(f"no case could be built in {folder}")
-    page = summary.report(table, machine(workers), len(CATALOGUE))
+    command = f"python scripts/prove.py cases={n} seed={seed} mix={mix}"
+    page = summary.report(table, command, machine(workers), len(CATALOGUE))
     where = results if "detected" in table else folder
     write_text(where / f"{mix}.csv", table.to_csv(index=False, float_format="%.6g"))
     write_text(where / f"{mix}.md", page)

@@ -46,7 +46,10 @@ def errors(case: Path, truth: Mapping[str, Any]) -> dict[str, float]:
     theta = np.array([*(effects.get(name, base.get(name)) for name in space.names), *added.values()], dtype=float)
     simulator = replace(observation.simulator, space=ParameterSpace((*space.parameters, *added)))
     knowing = Fit(observation.extended(simulator), theta, linearise(simulator, theta))
-    return predict(Model((), knowing, 0.0), observation, apart=False).nrmse
+    predicted = predict(Model((), knowing, 0.0), observation, apart=False)
+    if predicted is None:
+        raise RuntimeError("the truth cannot be simulated in the held-out recordings")
+    return predicted.nrmse
 
 
 def write(case: Path, truth: Path) -> None:

@@ -3,7 +3,7 @@
 An answer is a set of effects, `none` or `unknown`; the right one is the set that was concealed, `none` where nothing is
 missing, `unknown` where what is missing lies outside the catalogue. On real recordings (L2) the right answer contains
 the injected effect, alone or beside others or something unknown, for what else the car has that the model lacks is not
-known; nor are their controls false alarms.
+known; nor are their controls false alarms. A diagnosis that ended without a verdict is wrong about everything.
 """
 
 import json
@@ -19,23 +19,34 @@ from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 
 INTERVAL = 0.9
 NONE, UNKNOWN = frozenset(["none"]), frozenset(["unknown"])
-REDUCIBLE = 0.05  # of the oracle's error, that the base model's has to exceed it by to count as reducible
+REDUCIBLE = 0.05  # of the oracle's error, that the base model's has to exceed it by in some channel to be reducible
 SHAPES = frozenset(
     name for name in EFFECT_PARAMETERS
     if name.split(".")[1] in ("arm", "duration", "front_share", "lag", "start") or name == "payload.x"
 )  # fmt: skip
 """Parameters that say where, when or how late an effect acts, and mean nothing without its size."""
+OF_ONE_CHANNEL: Mapping[str, str] = {
+    "accelerometer_bias.x": "a_x", "accelerometer_bias.y": "a_y", "accelerometer_scale.x": "a_x",
+    "accelerometer_scale.y": "a_y", "gyro_bias.z": "yaw_rate", "gyro_scale.z": "yaw_rate",
+}  # fmt: skip
+"""Parameters of sensors, which nothing shows where that channel is not recorded."""
 Answer = frozenset[str]
 Json = Mapping[str, Any]
 Span = tuple[float, float]
+SILENT: Json = {
+    "detected": False, "p_value": 1.0, "explanations": [], "effects": {}, "p_none": 0.0, "p_unknown": 0.0,
+    "mismatch": [], "unknown": None,
+}  # fmt: skip
+"""A verdict that says nothing."""
+NO_VERDICT = "no verdict"  # the answer of a diagnosis that crashed or ran out of time
 
 
-def answers(verdict: Json, *, real: bool = False) -> list[tuple[Answer, float]]:
-    """All answers with their probabilities, the likeliest first; of a real recording each known set with something
-    unknown beside it is an answer of its own."""
+def answers(verdict: Json, *, apart: bool) -> list[tuple[Answer, float]]:
+    """All answers with their probabilities, the likeliest first. `apart`: each known set with something unknown beside
+    it is an answer of its own, as of real recordings; else it is part of *unknown*."""
     named = [(frozenset(e["effects"]), float(e["probability"])) for e in verdict["explanations"]]
     beside = [(frozenset(e["effects"]) | UNKNOWN, e.get("beside_unknown", 0.0)) for e in verdict["explanations"]]
-    beside = beside if real else []
+    beside = beside if apart else []
     unknown = max(float(verdict["p_unknown"]) - sum(p for _, p in beside), 0.0)
     rest = [(NONE, float(verdict["p_none"])), (UNKNOWN, unknown)]
     return sorted([*named, *beside, *rest], key=lambda one: -one[1])
@@ -59,9 +70,20 @@ def _half(answer: Answer, truth: Json, verdict: Json) -> bool:
     return right(truth) <= answer.union(*groups) if truth["kind"] in ("single", "pair") else False
 
 
+def _names_beside(verdict: Json) -> bool:
+    """Whether a set of known effects with something unknown is likelier than something unknown alone."""
+    found = dict(answers(verdict, apart=True))
+    return max((p for answer, p in found.items() if answer > UNKNOWN), default=0.0) > found[UNKNOWN]
+
+
 def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """What one verdict is worth; None where a question does not arise. `oracle`: NRMSE of one who knows, by channel."""
-    ranked = answers(verdict, real=truth["level"] == "L2")
+    """What one verdict is worth; None where a question does not arise. `oracle`: NRMSE of one who knows, by channel.
+
+    `first_right` is for comparison with methods that name one effect after the other: on L2, where an answer may hold
+    several, it asks for the most probable of them alone.
+    """
+    real = truth["level"] == "L2"
+    ranked = answers(verdict, apart=real)
     top, kind = ranked[0], truth["kind"]
     correct = [agrees(answer, truth) for answer, _ in ranked]
     likely = int(np.searchsorted(np.cumsum([p for _, p in ranked]), INTERVAL - 1e-9)) + 1
@@ -76,6 +98,7 @@ def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None)
         "answer": " + ".join(sorted(top[0])),
         "probability": top[1],
         "correct": correct[0],
+        "first_right": next(iter(verdict["effects"]), "none") in truth["effects"] if real else correct[0],
         "p_none": missing[0],
         "p_unknown": missing[1],
         "top1": 1.0 if correct[0] else half,
@@ -85,10 +108,21 @@ def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None)
         "both": correct[0] if kind == "pair" else None,
         "wrong_name": best[1] > max(missing) if kind == "outside" else None,
         "said_unknown": top[0] == UNKNOWN if kind == "outside" else None,
+        "named_beside": _names_beside(verdict) if kind == "outside" and top[0] == UNKNOWN else None,
     }
     return row | _place(truth, verdict, top[0]) | _sizes(truth, verdict, best[0]) | _base(truth, verdict) | {
         "removed": _removed(verdict, oracle)
     }  # fmt: skip
+
+
+def unsaid(truth: Json) -> dict[str, Any]:
+    """What is scored where there is no verdict: wrong, whatever is asked of such a case; an alarm where none is due."""
+    alarm = truth["kind"] == "none" or not truth["detectable"]
+    wrong = {
+        "detected": alarm, "detected_at_1": alarm, "answer": NO_VERDICT, "correct": False, "first_right": False,
+        "top1": 0.0, "top2": 0.0, "in_set": False, "wrong_name": True if truth["kind"] == "outside" else None,
+    }  # fmt: skip
+    return score(truth, SILENT) | wrong | dict.fromkeys(["p_value", "probability", "p_none", "p_unknown", "set_size"])
 
 
 def _place(truth: Json, verdict: Json, answer: Answer) -> dict[str, Any]:
@@ -127,25 +161,24 @@ def _overlap(true: Sequence[Span], said: Sequence[Span]) -> tuple[float, float]:
 
 def _sizes(truth: Json, verdict: Json, best: Answer) -> dict[str, Any]:
     """Relative error (of the distance from null) and 90 % coverage of the parameters of effects that are named, the
-    former also without what only gives an effect its shape."""
-    if not verdict["explanations"] or truth["kind"] not in ("single", "pair") or not right(truth) & best:
+    former also without what only gives an effect its shape. What is not said of them counts as said to be null."""
+    if truth["kind"] not in ("single", "pair") or not right(truth) & best:
         return {"size_error": None, "size_alone": None, "size_covered": None}
-    stated, errors, alone, covered = verdict["explanations"][0]["parameters"], [], [], []
+    stated = next(e["parameters"] for e in verdict["explanations"] if set(e["effects"]) == best - UNKNOWN)
+    errors: list[float] = []
+    alone: list[float] = []
+    covered: list[bool] = []
     for effect, facts in truth["effects"].items():
-        for names in _profiles(effect, facts["active"]):
+        for names in _profiles(effect, facts["active"]) if effect in best else ():
             null = np.array([EFFECT_PARAMETERS[name].null or 0.0 for name in names])
             value = np.array([facts["parameters"][name.split(".")[1]] for name in names])
-            said = [name for name in names if name in stated]
-            if said and not np.array_equal(value, null):
-                means = [
-                    stated[name]["mean"] if name in stated else none for name, none in zip(names, null, strict=True)
-                ]
-                errors.append(float(np.linalg.norm(means - value) / np.linalg.norm(value - null)))
-                alone += [] if names[0] in SHAPES else errors[-1:]
-                sizes = {
-                    name: x for name, x, none in zip(names, value, null, strict=True) if name in said and x != none
-                }
-                covered += [stated[name]["q05"] <= x <= stated[name]["q95"] for name, x in sizes.items()]
+            if np.array_equal(value, null):
+                continue
+            means = [stated[name]["mean"] if name in stated else none for name, none in zip(names, null, strict=True)]
+            errors.append(float(np.linalg.norm(means - value) / np.linalg.norm(value - null)))
+            alone += [] if names[0] in SHAPES else errors[-1:]
+            sizes = {name: x for name, x, none in zip(names, value, null, strict=True) if x != none}
+            covered += [name in stated and stated[name]["q05"] <= x <= stated[name]["q95"] for name, x in sizes.items()]
     return {
         "size_error": float(np.mean(errors)) if errors else None,
         "size_alone": float(np.mean(alone)) if alone else None,
@@ -175,14 +208,22 @@ def _base(truth: Json, verdict: Json) -> dict[str, Any]:
 
 
 def _removed(verdict: Json, oracle: Mapping[str, float] | None) -> float | None:
-    """Share of the held-out misfit beyond the oracle's that the extended model takes away, over channels."""
+    """Share of the held-out misfit beyond the oracle's that the extended model takes away, over all channels: it loses
+    by what it spoils in any, and one as good as the oracle takes away all."""
     fit = verdict.get("fit") or {}
     if not oracle or not fit.get("extended"):
         return None
     base, extended = fit["base"]["nrmse"], fit["extended"]["nrmse"]
-    shared = [c for c in base if c in extended and c in oracle and base[c] > (1.0 + REDUCIBLE) * oracle[c]]
-    over = sum(base[c] - oracle[c] for c in shared)
-    return sum(base[c] - extended[c] for c in shared) / over if shared else None
+    shared = [c for c in base if c in extended and c in oracle]
+    if not any(base[c] > (1.0 + REDUCIBLE) * oracle[c] for c in shared):
+        return None
+    reducible = sum(max(base[c] - oracle[c], 0.0) for c in shared)
+    return sum(base[c] - extended[c] for c in shared) / reducible
+
+
+def _recorded(parameter: str, channels: Sequence[str]) -> bool:
+    """Whether a parameter acts on anything that is recorded."""
+    return OF_ONE_CHANNEL.get(parameter, channels[0]) in channels
 
 
 def row(folder: Path, index: int) -> dict[str, Any]:
@@ -191,6 +232,8 @@ def row(folder: Path, index: int) -> dict[str, Any]:
     truth = json.loads((folder / "sealed" / f"{name}.json").read_text())
     told = yaml.safe_load((case / "case.yaml").read_text())
     facts = list(truth["effects"].values())
+    for effect, one in truth["effects"].items():
+        one["active"] = [key for key in one["active"] if _recorded(f"{effect}.{key}", told["channels"])]
     noise = truth.get("noise") or {}
     out: dict[str, Any] = {
         "case": index,
@@ -211,6 +254,8 @@ def row(folder: Path, index: int) -> dict[str, Any]:
         knowing = folder / "sealed" / f"{name}.oracle.json"
         oracle = json.loads(knowing.read_text()) if knowing.exists() else None
         out |= score(truth, json.loads(verdict.read_text()), oracle)
+    elif run.exists():
+        out |= unsaid(truth)
     said = json.loads((case / "baselines.json").read_text()) if (case / "baselines.json").exists() else {}
     for method, names in said.items():
         out[f"{method}_answer"] = names[0] if names else "none"

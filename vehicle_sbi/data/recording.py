@@ -110,30 +110,39 @@ class Windows:
     recordings: tuple[str, ...] = ()
 
 
-def one_after_another(parts: Sequence[Windows]) -> list[float]:
-    """What to add to the time of each recording [s], so that one clock runs through what is used of all, from 0 on."""
+def one_after_another(recordings: Sequence[Sequence[Windows]]) -> list[float]:
+    """What to add to the time of each recording [s], so that one clock runs through what is used of all, from 0 on.
+
+    Of each recording all that is used of it: the windows that are fitted, those that are held out.
+    """
     shifts, elapsed = list[float](), 0.0
-    for part in parts:
-        time = part.u[..., INPUTS.index("time")]
-        shifts.append(elapsed - float(time.min()))
-        elapsed = shifts[-1] + float(time.max()) + 1.0 / part.rate
+    for parts in recordings:
+        times = [part.u[..., INPUTS.index("time")] for part in parts]
+        shifts.append(elapsed - min(float(time.min()) for time in times))
+        elapsed = shifts[-1] + max(float(time.max()) for time in times) + 1.0 / parts[0].rate
     return shifts
 
 
-def joined(parts: Sequence[Windows], names: Sequence[str], shifts: Sequence[float] | None = None) -> Windows:
-    """Windows of several recordings as those of one, the time of each shifted, by default one after another.
-
-    The spread of initial states is the largest of each. Raises InputError for recordings of different rates, channels
-    or sensor groups; `names` are what it calls them.
-    """
-    first, u = parts[0], []
-    for part, name, shift in zip(parts, names, shifts or one_after_another(parts), strict=True):
+def check_alike(parts: Sequence[Windows], names: Sequence[str]) -> None:
+    """InputError for recordings of different rates, channels or sensor groups; `names` are what it calls them."""
+    first = parts[0]
+    for part, name in zip(parts, names, strict=True):
         for what in ("rate", "channels", "groups", "speed_group"):
             if getattr(part, what) != getattr(first, what):
                 raise InputError(
                     f"recordings {names[0]} and {name} differ in their {what}: {getattr(first, what)} and "
                     f"{getattr(part, what)}; one diagnosis needs the same of all (recording.rate resamples)"
                 )
+
+
+def joined(parts: Sequence[Windows], names: Sequence[str], shifts: Sequence[float] | None = None) -> Windows:
+    """Windows of several recordings as those of one, the time of each shifted, by default one after another.
+
+    The spread of initial states is the largest of each. Raises InputError for recordings that are not alike.
+    """
+    check_alike(parts, names)
+    first, u = parts[0], []
+    for part, shift in zip(parts, shifts or one_after_another([[part] for part in parts]), strict=True):
         moved = part.u.copy()
         moved[..., INPUTS.index("time")] += shift
         u.append(moved)
@@ -210,7 +219,8 @@ class Recording:
     def liveliest(self, share: float, *, stretch_s: float = 60.0) -> "Recording":
         """The recording with nothing but the stretches in which steering and speed change most, `share` of its time.
 
-        A stretch is as lively as its variances of the two are large, in units of the whole recording's.
+        A stretch is as lively as its variances of the two are large, in units of the whole recording's. The steering
+        wheel stands for the steering and the wheels' speed for the car's where that is all there is.
         """
         if share >= 1.0:
             return self
@@ -218,8 +228,11 @@ class Recording:
         count = max(round(n / self.rate / stretch_s), math.ceil(1.0 / share))
         of = np.arange(n) * count // n
         lively = np.zeros(count)
-        for name in {"steering", "v_x"} & self.channels.keys():
-            valid, values = self.valid[name], np.nan_to_num(self.channels[name])
+        for names in (("steering", "steering_wheel"), ("v_x", "wheel_speed_rear", "wheel_speed_front")):
+            recorded = next((series for name in names if (series := self.series(name)) is not None), None)
+            if recorded is None:
+                continue
+            values, valid = np.nan_to_num(recorded[0]), recorded[1]
             each = pd.Series(values[valid]).groupby(of[valid]).var(ddof=0).reindex(range(count), fill_value=0.0)
             lively += np.nan_to_num(each.to_numpy()) / max(float(np.var(values[valid])), 1e-12)
         kept = np.isin(of, np.argsort(-lively, kind="stable")[: max(int(share * count), 1)])

@@ -133,9 +133,10 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Score:
-    """A model's prediction of what was held out."""
+    """A model's prediction of what was held out; CRPS in each channel's unit."""
 
     nrmse: dict[str, float]
+    crps: dict[str, float]
     log_score: float
     coverage90: float
 
@@ -152,8 +153,9 @@ class Visible:
 @dataclass(frozen=True)
 class Verdict:
     """What the diagnosis says; its fields are those of verdict.json. `effects`: how probable it is that each of them is
-    missing, whatever else is; `could_show` and `invisible`: which the recordings would have shown with a power of 80 %,
-    and which they could not; `warnings`: those of the notes that say why the base model's fit may not be relied on."""
+    missing, whatever else is; `share_explained`: what the likeliest set explains of the squared score of all that was
+    found; `could_show` and `invisible`: which the recordings would have shown with a power of 80 %, and which they
+    could not; `warnings`: those of the notes that say why the base model's fit may not be relied on."""
 
     schema: int
     detected: bool
@@ -163,6 +165,7 @@ class Verdict:
     effects: dict[str, float]
     p_none: float
     p_unknown: float
+    share_explained: float | None
     unknown: Unknown | None
     indistinguishable: list[list[str]]
     separating_experiment: str

@@ -11,7 +11,8 @@ from vehicle_sbi.physics.effects import CATALOGUE
 @dataclass(frozen=True, kw_only=True)
 class Belief:
     """`effects`: probability that none, one, two, … effects of the catalogue are missing, no set more likely than
-    another of its size; `unknown`: odds of something outside the catalogue beside any of them.
+    another of its size; `unknown`: odds of something outside the catalogue beside any of them that follows a law, or
+    none; and of what even the likeliest set of all leaves over.
 
     Raises InputError where these are no probabilities or no odds.
     """

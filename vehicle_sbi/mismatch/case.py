@@ -8,7 +8,7 @@ import numpy as np
 
 from vehicle_sbi.data.noise import FEWEST, DrawnProcessNoise, EstimatedNoise, Mixture
 from vehicle_sbi.data.readers import RecordingFile
-from vehicle_sbi.data.recording import Recording, Windows, joined, one_after_another
+from vehicle_sbi.data.recording import Recording, Windows, check_alike, joined, one_after_another
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.setup import Setup
 from vehicle_sbi.mismatch.belief import Belief
@@ -19,6 +19,7 @@ HELD_OUT = 0.25  # share of the recordings' time that is held out where no recor
 BLOCK_S = 10.0  # [s] of a block that is held out, or a window if that is longer
 BUFFER_S = 1.0  # [s] beside it that is not fitted
 MOST_SAMPLES = 60_000  # of the recordings together; of longer ones the liveliest stretches are used
+MOST_READINGS = 120_000  # the same times channels
 MOST_WINDOWS = 40  # into which recordings are cut for fitting; longer ones get longer windows
 STIFFEST = 2.0  # step times rate: modes this fast are stable (to 2.78) and gone within a sample, at half the cost
 START = 2.0  # times what smoothing leaves over, which lacks the slow part of autocorrelated noise, is a start's spread
@@ -58,7 +59,10 @@ class Diagnosis(Setup):
     belief: Belief
 
     def prepare(self) -> Case:
-        """Read everything; InputError for recordings that do not go together, or a box without its effect's null."""
+        """Read everything; InputError for recordings that do not go together, a box without its effect's null, or noise
+        that is stated: what is missing would have to explain what a misjudged noise does not."""
+        if not isinstance(self.noise, EstimatedNoise):
+            raise InputError("noise: a diagnosis estimates it from the recordings; leave it at noise=estimated")
         space = self.space()
         _check_nulls(space)
         training, held = self._read()
@@ -68,13 +72,17 @@ class Diagnosis(Setup):
         if not held:
             training, held = cut.blocks(training)
             names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
-        parts, others = ([cut.windows(recording, file) for file, recording in part] for part in (training, held))
-        clock = one_after_another(parts)
-        observation = cut.observe(space, parts, clock)
+        parts = [cut.windows(recording, file) for file, recording in training]
         if self.heldout:
-            held_out = cut.observe(space, others, one_after_another(others), like=observation)
-        else:  # other times of the same recordings
-            held_out = cut.observe(space, others, clock, like=observation)
+            others = [cut.windows(recording, file) for file, recording in held]
+            clock = tuple(one_after_another([[part] for part in apart]) for apart in (parts, others))
+        else:
+            others = cut.of_blocks(held)
+            clock = _shared_clock(parts, others)
+        check_alike([*parts, *others], [part.recordings[0] for part in (*parts, *others)])
+        observation = cut.observe(space, parts, clock[0])
+        held_out = cut.observe(space, others, clock[1], like=observation)
+        if not self.heldout:
             held_out = held_out.extended(replace(held_out.simulator, nominal=observation.simulator.nominal))
         naming, proving = halves(held_out)
         if not (self.heldout and naming.anything and proving.anything):
@@ -126,6 +134,18 @@ class Diagnosis(Setup):
         ]
         return [(file, kept) for file, (kept, _) in parts], [(file, out) for file, (_, out) in parts]
 
+    def of_blocks(self, held: Read) -> list[Windows]:
+        """Held-out blocks as windows, of those recordings in whose blocks the car drives."""
+        found, refused = list[Windows](), list[InputError]()
+        for file, recording in held:
+            try:
+                found.append(self.windows(recording, file))
+            except InputError as error:
+                refused.append(error)
+        if not found:
+            raise refused[0]
+        return found
+
     def _read(self) -> tuple[Read, Read]:
         """Recordings to fit and to hold out with the files that they come from, as much of them as fits in memory."""
         training, held = (
@@ -133,11 +153,12 @@ class Diagnosis(Setup):
             for given in (self.recordings or [self.recording], self.heldout)
         )
         _check_once(training, held)
-        most = max(sum(len(recording.t) for _, recording in part) for part in (training, held))
-        share = MOST_SAMPLES / most
         names = Counter(recording.name for _, recording in (*training, *held))
         kept = [
-            [(file, _called(recording.liveliest(share), alone=names[recording.name] == 1)) for file, recording in part]
+            [
+                (file, _called(recording.liveliest(share), alone=names[recording.name] == 1))
+                for (file, recording), share in zip(part, _shares(part), strict=True)
+            ]
             for part in (training, held)
         ]
         return kept[0], kept[1]
@@ -159,15 +180,37 @@ class Diagnosis(Setup):
         return Observation(simulator, np.where(windows.valid, windows.y, 0.0), isinstance(self.noise, EstimatedNoise))
 
 
+def _shares(part: Read) -> list[float]:
+    """How much of each recording is used, so that all of them fit in memory: the shortest are used whole."""
+    channels = max((len(file.channels) for file, _ in part), default=1)
+    left, shares = min(MOST_SAMPLES, MOST_READINGS / max(channels, 1)), [1.0] * len(part)
+    in_order = sorted(range(len(part)), key=lambda k: len(part[k][1].t))
+    for rank, k in enumerate(in_order):
+        length = len(part[k][1].t)
+        shares[k] = min(1.0, left / (len(part) - rank) / length)
+        left -= shares[k] * length
+    return shares
+
+
+def _shared_clock(parts: Sequence[Windows], others: Sequence[Windows]) -> tuple[list[float], list[float]]:
+    """The clock of recordings of which some windows are fitted and others are held out."""
+    held = [[one for one in others if one.recordings[0] == part.recordings[0]] for part in parts]
+    shifts = one_after_another([[part, *same] for part, same in zip(parts, held, strict=True)])
+    return shifts, [shift for shift, same in zip(shifts, held, strict=True) for _ in same]
+
+
 def _check_once(training: Read, held: Read) -> None:
-    """InputError for data that is given twice, whatever its file is called."""
-    fitted, apart = ([recording for _, recording in part] for part in (training, held))
-    hashes = Counter(recording.sha256 for recording in fitted)
+    """InputError for data that is given twice, whatever its file is called; two stretches of a file are other data."""
+    fitted, apart = (
+        [(recording.source, (recording.sha256, file.start_s, file.stop_s)) for file, recording in part]
+        for part in (training, held)
+    )
+    counts = Counter(data for _, data in fitted)
     for where, recordings, known, why in (
-        ("heldout", apart, hashes, "is also fitted; hold out another recording"),
-        ("recordings", fitted, [k for k, n in hashes.items() if n > 1], "would count twice: it is the same data"),
+        ("heldout", apart, counts, "is also fitted; hold out another recording"),
+        ("recordings", fitted, [k for k, n in counts.items() if n > 1], "would count twice: it is the same data"),
     ):
-        if twice := sorted({one.source for one in recordings if one.sha256 in known}):
+        if twice := sorted({source for source, data in recordings if data in known}):
             raise InputError(f"{where}: {', '.join(twice)} {why}")
 
 

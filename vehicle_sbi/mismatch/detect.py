@@ -23,7 +23,7 @@ from vehicle_sbi.mismatch.linear import ITERATIONS, LEAST_VARIANCE, Linearised, 
 from vehicle_sbi.mismatch.staircase import Staircase, Staircases
 
 DRAWS = 500  # of noise, behind a p-value
-CHUNK = 100  # of them at once
+CHUNK = 100  # of them, and of directions, at once
 
 
 @dataclass(frozen=True)
@@ -85,9 +85,21 @@ class Scores:
     @property
     def log_evidence(self) -> Float[np.ndarray, " k"]:
         """Log Bayes factor of each direction at first order against none, its size uniform over the prior."""
-        std, width = self.information**-0.5, self.high - self.low
-        mass = _log_mass((self.low - self.size) / std, (self.high - self.size) / std)
-        return self.gain + mass + 0.5 * np.log(2 * np.pi) + np.log(std) - np.log(width)
+        return uniform_evidence(self.gain, self.size, self.information, self.low, self.high)
+
+
+def uniform_evidence(
+    gain: Float[np.ndarray, " k"],
+    size: Float[np.ndarray, " k"],
+    information: Float[np.ndarray, " k"],
+    low: Float[np.ndarray, " k"],
+    high: Float[np.ndarray, " k"],
+) -> Float[np.ndarray, " k"]:
+    """Log evidence of a size that is as likely anywhere from low to high, where its likelihood is normal about `size`
+    with so much information and gains so much there over none."""
+    std = information**-0.5
+    mass = _log_mass((low - size) / std, (high - size) / std)
+    return gain + mass + 0.5 * np.log(2 * np.pi) + np.log(std) - np.log(high - low)
 
 
 def _log_mass(low: Float[np.ndarray, " k"], high: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
@@ -164,9 +176,11 @@ class Singles:
         high: Float[np.ndarray, " k"],
     ) -> "Singles":
         """Of directions whose sizes are within low and high."""
-        G = about.absorbed(np.nan_to_num(changes))
-        scale = np.sqrt(np.maximum(np.mean(G**2, axis=(1, 2)), LEAST_VARIANCE))
-        left = (G / scale[:, None, None]).astype(np.float32)
+        left, scale = np.empty(changes.shape, np.float32), np.empty(len(changes))
+        for part in (slice(first, first + CHUNK) for first in range(0, len(changes), CHUNK)):
+            G = about.absorbed(np.nan_to_num(changes[part]))
+            scale[part] = np.sqrt(np.maximum(np.mean(G**2, axis=(1, 2)), LEAST_VARIANCE))
+            left[part] = G / scale[part, None, None]
         return cls(about, left, about.squares(left)[:, :, None].astype(float), low * scale, high * scale)
 
     def scores(self, e: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, "n k"]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.beyond import Beyond
@@ -27,10 +27,8 @@ from vehicle_sbi.parameters import Parameter
 LEVEL = 0.05  # of the test whether anything is missing
 ALIKE = 0.98  # coherence with a direction of the catalogue from which a law says nothing new
 NEAR = 8.0  # of evidence, within which another shape is worth a fit of its own
-BEST_STEPS, AS_SIMULATED = (
-    3,
-    0.1,
-)  # larger steps of an effect, from which it is fitted, and part of them they may be off
+BEST_STEPS = 3  # larger steps along a parameter, from which it is fitted
+AS_SIMULATED = 0.1  # part of them by which they may be off
 TOLERANCE = 0.1  # of what a model explains may be left over: no effect is modelled perfectly
 TOLD = 0.3  # power of the likelihood of what a model foretells, which whatever else is missing spoils
 
@@ -41,7 +39,8 @@ class Model:
 
     `outside` is what it has beside them that the catalogue does not, one of so many `choice`; `told` how much likelier
     it makes recordings that it was not fitted to than the base model does (log likelihood), `posterior` draws of its
-    parameters where a normal about the fit is not what is said of them.
+    parameters where a normal about the fit is not what is said of them, `base` the parameters that the base model
+    has, which may be an effect's too.
     """
 
     effects: tuple[str, ...]
@@ -51,6 +50,13 @@ class Model:
     choice: int = 1
     told: float = 0.0
     posterior: Float[np.ndarray, "n d"] | None = None
+    base: tuple[str, ...] = ()
+
+    @property
+    def own(self) -> Bool[np.ndarray, " d"]:
+        """Which parameters came with its effects."""
+        names = self.fit.simulator.space.names
+        return np.array([name.split(".")[0] in self.effects and name not in self.base for name in names])
 
     @property
     def log_evidence(self) -> float:
@@ -77,14 +83,14 @@ class Examined:
     """A model with everything that it leaves out, and the scores of it all.
 
     Each channel's blocks of time are scored together too; `joint` are effects that have several directions, `starts`
-    where else to start fitting those that come and go or do not change in proportion, the likeliest first.
+    where else to start fitting along parameters that come and go or do not change in proportion, the likeliest first.
     """
 
     model: Model
     free: Inventory
     scores: Scores
     joint: dict[str, Joint]
-    starts: dict[str, list[dict[Parameter, float]]]
+    starts: dict[Parameter, list[dict[Parameter, float]]]
 
     @cached_property
     def p_value(self) -> float:
@@ -157,7 +163,7 @@ def _by_effect(found: Sequence[Direction]) -> dict[str, dict[str, list[int]]]:
 
 
 def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joint]:
-    """Effects with several directions: all of them at once, under normal priors as wide as their boxes."""
+    """Effects with several directions: all of them at once, sizes as likely anywhere in their boxes."""
     found, changes, base = free.of.directions, free.named, _of_none(about, free)
     together = {}
     for effect, by_parameter in _by_effect(found).items():
@@ -168,7 +174,8 @@ def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joi
         best = profile(about, changes[rows][None], low, high)
         gain = float(best.log_likelihood[0] - base)
         _, log_det = np.linalg.slogdet(np.eye(len(rows)) + best.information[0] * (high - low)[0] ** 2 / 12.0)
-        together[effect] = Joint(rows, best.size[0], gain, gain - 0.5 * float(log_det))
+        volume = -0.5 * float(log_det) + 0.5 * len(rows) * np.log(2 * np.pi / 12.0)
+        together[effect] = Joint(rows, best.size[0], gain, gain + volume)
     return together
 
 
@@ -178,15 +185,15 @@ def _of_none(about: Linearised, free: Repertoire) -> float:
     return float(profile(about, free.named[None, :0], nothing, nothing).log_likelihood[0])
 
 
-def _starts(about: Linearised, free: Repertoire) -> dict[str, list[dict[Parameter, float]]]:
+def _starts(about: Linearised, free: Repertoire) -> dict[Parameter, list[dict[Parameter, float]]]:
     """Where to start fitting, beside where directions are scored: the likeliest spans, and larger steps as they are."""
     spans, steps = _spans(about, free), _larger_steps(about, free)
-    return {effect: [*spans.get(effect, []), *steps.get(effect, [])] for effect in spans.keys() | steps.keys()}
+    return {p: [*spans.get(p, []), *steps.get(p, [])] for p in spans.keys() | steps.keys()}
 
 
-def _larger_steps(about: Linearised, free: Repertoire) -> dict[str, list[dict[Parameter, float]]]:
-    """Of effects that do not change as much in proportion, the larger steps that are likeliest as they were simulated,
-    and likelier than none: no other size follows from what they do."""
+def _larger_steps(about: Linearised, free: Repertoire) -> dict[Parameter, list[dict[Parameter, float]]]:
+    """Along parameters that do not change as much in proportion, the larger steps that are likeliest as they were
+    simulated, and likelier than none: no other size follows from what they do."""
     rows = [k for k, d in enumerate(free.of.directions) if d.step > STEPS[0]]
     if not rows:
         return {}
@@ -195,19 +202,19 @@ def _larger_steps(about: Linearised, free: Repertoire) -> dict[str, list[dict[Pa
     reach = AS_SIMULATED * np.abs(size)
     likelihood = profile(about, free.named[rows][:, None], size - reach, size + reach).log_likelihood
     helpful = np.flatnonzero(likelihood > _of_none(about, free))
-    starts: dict[str, list[dict[Parameter, float]]] = {}
+    starts: dict[Parameter, list[dict[Parameter, float]]] = {}
     for k in helpful[np.argsort(-likelihood[helpful])]:
-        of_effect = starts.setdefault(found[k].effect, [])
-        if len(of_effect) < BEST_STEPS:
-            of_effect.append(_sized([found[k]], size[k]))
+        along = starts.setdefault(found[k].parameter, [])
+        if len(along) < BEST_STEPS:
+            along.append(_sized([found[k]], size[k]))
     return starts
 
 
-def _spans(about: Linearised, free: Repertoire) -> dict[str, list[dict[Parameter, float]]]:
-    """Effects that come and go, from when to when and how large they are likeliest to be in each of their other shapes,
+def _spans(about: Linearised, free: Repertoire) -> dict[Parameter, list[dict[Parameter, float]]]:
+    """Of what comes and goes, from when to when and how large they are likeliest to be in each of their other shapes,
     of all whole tiles; the likeliest shape first."""
     seconds = tile(about.fit.simulator)
-    found: dict[str, list[tuple[float, dict[Parameter, float]]]] = {}
+    found: dict[Parameter, list[tuple[float, dict[Parameter, float]]]] = {}
     for rows in _tiled(free.of.directions, seconds):
         first = free.of.directions[rows[0]]
         sums = np.concatenate([np.zeros_like(free.named[:1]), np.cumsum(free.named[rows], axis=0)])
@@ -219,8 +226,8 @@ def _spans(about: Linearised, free: Repertoire) -> dict[str, list[dict[Parameter
         k = int(np.argmax(tried.log_likelihood))
         start, stop = spans[k]
         span = first.during(start * seconds, (stop - start) * seconds)
-        found.setdefault(first.effect, []).append((float(tried.log_likelihood[k]), _sized([span], tried.size[k])))
-    return {effect: _likeliest(each) for effect, each in found.items()}
+        found.setdefault(first.parameter, []).append((float(tried.log_likelihood[k]), _sized([span], tried.size[k])))
+    return {along: _likeliest(each) for along, each in found.items()}
 
 
 def _likeliest(found: list[tuple[float, dict[Parameter, float]]]) -> list[dict[Parameter, float]]:
@@ -259,7 +266,8 @@ def _version(examined: Examined, effect: str, rows: Sequence[list[int]]) -> Vers
     best = int(np.argmax(singles))
     k = leading[best]
     scored = [_start(examined, [row], scores.size[[row]]) for row in _of_each_shape(examined, rows[best])]
-    others = [start for start in examined.starts.get(effect, []) if start not in scored]
+    along = examined.free.directions[k].parameter
+    others = [start for start in examined.starts.get(along, []) if start not in scored]
     return Version(effect, [*others, *scored], singles[best], float(np.abs(scores.z[k])))
 
 

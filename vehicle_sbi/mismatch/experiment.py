@@ -1,8 +1,13 @@
-"""The experiment that separates: which further drive would tell apart two explanations that fit equally well.
+"""The experiment that separates: which further recording would tell apart two explanations that fit equally well.
 
-Both fitted models are simulated over a menu of drives made from the one that was recorded. What they differ by there,
-after what the parameters may still absorb given what is known of them from the recordings, is the separation in
-standard deviations. All of it follows from simulation.
+Both fitted models a and b are simulated over a menu of recordings made from the one that exists: other drives, the same
+road the other way, another sensor. In each, with d what they differ by and J what their parameters (in units of the
+prior) do there, all in units of the noise, and P what both fits know of their parameters, prior included,
+
+    separation^2 = d'd - d'J (P + J'J)^-1 J'd          d = y_b - y_a,   J = [J_a, -J_b],   P = diag(P_a, P_b)
+
+is how far apart they are after whatever the first recordings leave open has absorbed what it can. It is the distance in
+the covariance I + J P^-1 J' of both predictions. All of it follows from simulation.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,103 +15,205 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 
-from vehicle_sbi.data.recording import Windows
+from vehicle_sbi.data.noise import MeasurementNoise
+from vehicle_sbi.data.recording import CHANNELS, NEEDED
+from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.mismatch.candidates import null
 from vehicle_sbi.mismatch.examine import Model
-from vehicle_sbi.mismatch.fit import Fit, linearise
+from vehicle_sbi.mismatch.fit import Fit, Metric, linearise
+from vehicle_sbi.parameters import Parameter, ParameterSpace
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, ONCOMING
+from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS, MEASUREMENTS
 from vehicle_sbi.physics.single_track import INPUTS
 
-WORTH = 3.0  # standard deviations from which an experiment is worth naming
+HIDDEN = 2.0  # standard deviations, below which noise may hide that two models differ
+WORTH = 3.0  # from which a drive is worth naming, rather than another sensor
+WALKING = 1.5  # [m/s], above what readers leave out as too slow for the model
 STEERING, SPEED, ACCELERATION = (INPUTS.index(name) for name in ("steering", "v_x", "v_x_dot"))
-PACED = [INPUTS.index(name) for name in ("v_x", "v_x_dot", "wheel_speed_front", "wheel_speed_rear")]
+WHEELS = [INPUTS.index(name) for name in ("wheel_speed_front", "wheel_speed_rear")]
+PACED = [SPEED, ACCELERATION, *WHEELS]
+
+# Standard deviations [channel's unit] of the sensors that a production car has, or could be given, at a sample.
+SENSORS: Mapping[str, float] = {
+    "a_x": 0.15, "a_y": 0.15, "a_z": 0.15, "yaw_rate": 0.005, "roll_rate": 0.005, "pitch_rate": 0.005,
+    "wheel_speed_front": 0.1, "wheel_speed_rear": 0.1, "v_x": 0.05, "v_y": 0.05,
+}  # fmt: skip
+
+Change = Callable[[Simulator], Simulator]  # from the recordings that exist to a further one
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A drive and by how many standard deviations it would tell two models apart."""
+    """A recording to make, in words, and by how many standard deviations it would tell two models apart."""
 
     drive: str
     separation: float
 
 
-def _mirrored(w: Windows) -> Windows:
-    u = w.u.copy()
-    u[..., STEERING] *= -1.0
-    return replace(w, u=u, x0=w.x0 * [1.0, -1.0, -1.0])
+def _driven(simulator: Simulator, u: Float[np.ndarray, "windows time 9"], start: Float[np.ndarray, " 3"]) -> Simulator:
+    """With other inputs, from so many times the initial states."""
+    return replace(simulator, windows=replace(simulator.windows, u=u, x0=simulator.windows.x0 * start))
 
 
-def _straight(w: Windows) -> Windows:
-    u = w.u.copy()
-    u[..., STEERING] = 0.0
-    return replace(w, u=u, x0=w.x0 * [1.0, 0.0, 0.0])
+def _steered(simulator: Simulator, steering: Float[np.ndarray, "windows time"], turning: float) -> Simulator:
+    """With another steering [rad], from so many times the initial sideslip and yaw rate."""
+    u = simulator.windows.u.copy()
+    u[..., STEERING] = steering
+    return _driven(simulator, u, np.array([1.0, turning, turning]))
 
 
-def _circle(w: Windows) -> Windows:
-    u = w.u.copy()
-    u[..., STEERING] = 0.7 * np.abs(w.u[..., STEERING]).max()
-    return replace(w, u=u)
+def _mirrored(simulator: Simulator) -> Simulator:
+    return _steered(simulator, -simulator.windows.u[..., STEERING], -1.0)
 
 
-def _paced(factor: float) -> Callable[[Windows], Windows]:
-    def change(w: Windows) -> Windows:
-        u = w.u.copy()
+def _straight(simulator: Simulator) -> Simulator:
+    return _steered(simulator, np.zeros(simulator.windows.t.shape), 0.0)
+
+
+def _circle(simulator: Simulator) -> Simulator:
+    steering = simulator.windows.u[..., STEERING]
+    return _steered(simulator, np.full(steering.shape, 0.7 * np.abs(steering).max()), 1.0)
+
+
+def _quicker(simulator: Simulator) -> Simulator:
+    """The steering of the first half of each window over and over, twice as fast."""
+    fast = simulator.windows.u[:, ::2, STEERING]
+    return _steered(simulator, np.concatenate([fast, fast], axis=1)[:, : simulator.windows.t.shape[1]], 1.0)
+
+
+def _opposite(simulator: Simulator) -> Simulator:
+    """Along the same road the other way: curves, slopes and wind have the other sign, the car's own offsets do not."""
+    parameters = tuple(_oncoming(p) for p in simulator.space.parameters)
+    return replace(_mirrored(simulator), space=ParameterSpace(parameters))
+
+
+def _oncoming(p: Parameter) -> Parameter:
+    """The parameter as it acts on a car that comes the other way."""
+    if not ONCOMING.keys() >= {*p.fields}:
+        return p
+    return replace(p, scale=-p.scale, fields=tuple(ONCOMING[name] for name in p.fields))
+
+
+def _paced(factor: float) -> Change:
+    def change(simulator: Simulator) -> Simulator:
+        u = simulator.windows.u.copy()
         u[..., PACED] *= factor
-        return replace(w, u=u, x0=w.x0 * [factor, 1.0, 1.0])
+        return _finer(_driven(simulator, u, np.array([factor, 1.0, 1.0])), factor)
 
     return change
 
 
-def _quicker(w: Windows) -> Windows:
-    """The steering of the first half of each window over and over, twice as fast."""
-    u, half = w.u.copy(), (w.u.shape[1] + 1) // 2
-    fast = w.u[:, ::2, STEERING]
-    u[:, :half, STEERING], u[:, half:, STEERING] = fast, fast[:, : u.shape[1] - half]
-    return replace(w, u=u)
+def _walking(simulator: Simulator) -> Simulator:
+    """Straight ahead at a walking pace, as near to a standstill as the model holds."""
+    u = simulator.windows.u.copy()
+    u[..., [STEERING, ACCELERATION]] = 0.0
+    u[..., SPEED], u[..., WHEELS] = WALKING, WALKING / simulator.nominal["R_f"]
+    x0 = np.tile([WALKING, 0.0, 0.0], (len(u), 1))
+    slow = replace(simulator, windows=replace(simulator.windows, u=u, x0=x0))
+    return _finer(slow, WALKING / float(simulator.windows.x0[:, 0].min()))
 
 
-MENU: Mapping[str, Callable[[Windows], Windows]] = {
+def _finer(simulator: Simulator, factor: float) -> Simulator:
+    """With steps that are short enough at so many times the speed: the fastest modes are quicker, the slower it is."""
+    return replace(simulator, substeps=int(np.ceil(simulator.substeps / min(factor, 1.0))))
+
+
+STEERED: Mapping[str, Change] = {
     "the same drive with the steering mirrored": _mirrored,
     "the same speeds straight ahead": _straight,
     "a steady circle at the same speeds": _circle,
+    "the same drive with steering twice as fast": _quicker,
+    "a second run of the same road in the opposite direction": _opposite,
+}
+AT_SPEED: Mapping[str, Change] = {  # where the speed is given, rather than what torques make of it
     "the same steering at 0.7 times the speed": _paced(0.7),
     "the same steering at 1.3 times the speed": _paced(1.3),
-    "the same drive with steering twice as fast": _quicker,
+    f"a stretch straight ahead at walking pace ({WALKING:g} m/s)": _walking,
 }
+MENU: Mapping[str, Change] = {**STEERED, **AT_SPEED}
+
+
+def _sensed(channel: str) -> Change:
+    """The same drive with a further channel, whose noise is as slow as that of the slowest one recorded."""
+
+    def change(simulator: Simulator) -> Simulator:
+        windows, noise = simulator.windows, simulator.noise
+        measured = replace(
+            windows,
+            channels=(*windows.channels, channel),
+            groups=(*windows.groups, CHANNELS[channel].group),
+            y=np.concatenate([windows.y, np.full_like(windows.y[:1], np.nan)]),
+            valid=np.concatenate([windows.valid, windows.valid.any(axis=0, keepdims=True)]),
+        )
+        more = MeasurementNoise(
+            share=np.append(noise.share, 0.0),
+            floor=np.append(noise.floor, SENSORS[channel]),
+            rho=np.append(noise.rho, noise.rho.max()),
+            window=noise.window,
+        )
+        return replace(simulator, windows=measured).with_noise(more)
+
+    return change
+
+
+def _unrecorded(simulator: Simulator) -> list[str]:
+    """Channels that the model predicts, and that neither drive it nor are recorded."""
+    predicted = [name for name in MEASUREMENTS if simulator.model == "full_vehicle" or name not in BODY_MEASUREMENTS]
+    return [name for name in predicted if name not in (*simulator.windows.channels, *NEEDED[simulator.drive])]
+
+
+def menu(simulator: Simulator) -> dict[str, Change]:
+    """Recordings that could be made beside those behind a simulator: drives, and the same one with another sensor."""
+    drives = STEERED if simulator.drive == "torque" else MENU
+    return {**drives, **{f"the same drive with {name} measured too": _sensed(name) for name in _unrecorded(simulator)}}
 
 
 def separations(a: Model, b: Model) -> list[Experiment]:
-    """How well each drive of the menu would tell the models apart, the best first."""
-    found = []
-    for drive, change in MENU.items():
-        separation = _separation(a.fit, b.fit, change)
-        if np.isfinite(separation):
-            found.append(Experiment(drive, separation))
-    return sorted(found, key=lambda one: -one.separation)
+    """How well each recording of the menu would tell the models apart, the best first."""
+    found = [Experiment(words, separation(a.fit, b.fit, change)) for words, change in menu(a.fit.simulator).items()]
+    return sorted((one for one in found if np.isfinite(one.separation)), key=lambda one: -one.separation)
 
 
-def _separation(a: Fit, b: Fit, change: Callable[[Windows], Windows]) -> float:
-    """Standard deviations between the models over a changed drive; NaN where one of them cannot be simulated there."""
-    windows = change(a.simulator.windows)
-    there = [replace(fit.simulator, windows=windows) for fit in (a, b)]
-    at = linearise(there[0], a.theta)
-    other = there[1].noise_free(b.theta[None])[0]
-    if not (np.isfinite(at.J).all() and np.isfinite(other).all()):
+def separation(a: Fit, b: Fit, change: Change) -> float:
+    """Standard deviations between models in a further recording; NaN where one of them cannot be simulated there.
+
+    The noise is that of a.
+    """
+    there = [change(fit.simulator) for fit in (a, b)]
+    at_a = linearise(there[0], _later(a))
+    at_b = linearise(there[1], _later(b), at_a.J_x)
+    if not all(np.isfinite(series).all() for at in (at_a, at_b) for series in (at.y, at.J)):
         return float("nan")
-    metric = Fit(a.observation.extended(there[0]), a.theta, at).metric
-    d = metric(other - at.y).reshape(-1)
-    J: Float[np.ndarray, "d samples"] = metric(at.J).reshape(len(a.theta), -1)
-    known = a.information + np.eye(len(a.theta)) + J @ J.T
+    metric = Metric.of(there[0], at_a)
+    d = metric(at_b.y - at_a.y).reshape(-1)
+    J: Float[np.ndarray, "p samples"] = metric(np.concatenate([at_a.J, -at_b.J])).reshape(-1, d.size)
+    known = block_diag(*(fit.information + np.eye(len(fit.theta)) for fit in (a, b)))
     score = J @ d
-    return float(np.sqrt(max(d @ d - score @ np.linalg.solve(known, score), 0.0)))
+    return float(np.sqrt(max(d @ d - score @ np.linalg.solve(known + J @ J.T, score), 0.0)))
+
+
+def _later(fit: Fit) -> Float[np.ndarray, " d"]:
+    """theta in a further recording, in which what came and went in the first (a gust) does not come again."""
+    space = fit.simulator.space
+    return np.array([null(p) if _passed(p) else x for p, x in zip(space.parameters, fit.theta, strict=True)])
+
+
+def _passed(p: Parameter) -> bool:
+    """Whether a parameter belongs to an effect that begins at a moment."""
+    return f"{p.name.split('.')[0]}.start" in EFFECT_PARAMETERS
 
 
 def advice(a: Model, b: Model) -> str:
-    """Which drive would separate them, in a sentence; empty where none on the menu would."""
+    """Which further recording would separate them, or that none of the menu would, in a sentence.
+
+    Another sensor is asked for only where no drive is worth it.
+    """
     ranked = separations(a, b)
-    if not ranked or ranked[0].separation < WORTH:
-        return ""
-    best = ranked[0]
-    return (
-        f"To tell {' with '.join(a.effects)} from {' with '.join(b.effects)}, record {best.drive}: "
-        f"they would differ by {best.separation:.0f} standard deviations."
-    )
+    pair = f"{' with '.join(a.effects)} from {' with '.join(b.effects)}"
+    if not ranked or ranked[0].separation < HIDDEN:
+        most = f": they would differ by {ranked[0].separation:.1f} standard deviations at most" if ranked else ""
+        return f"None of the drives and sensors that were tried would tell {pair}{most}."
+    best = next((one for one in ranked if one.drive in MENU and one.separation >= WORTH), ranked[0])
+    return f"To tell {pair}, record {best.drive}: they would differ by {best.separation:.0f} standard deviations."

@@ -32,28 +32,28 @@ def extended(model: Model, version: Version) -> Model | None:
     """The model with one more effect, all parameters fitted under noise of its own; None if it cannot be simulated."""
     simulator = model.fit.simulator
     boxes = {p.name: p for p in within(simulator, CATALOGUE[version.effect]).parameters}
-    added = [boxes[p.name] for p in version.starts[0]]
-    wider = model.fit.observation.extended(
-        replace(simulator, space=ParameterSpace((*simulator.space.parameters, *added)))
-    )
-    space = wider.simulator.space
+    added = [*version.starts[0]]
+    space = ParameterSpace((*simulator.space.parameters, *(boxes[p.name] for p in added)))
+    wider = model.fit.observation.extended(replace(simulator, space=space))
     points = [
-        np.clip(np.concatenate([model.fit.theta, list(start.values())]), space.low, space.high)
+        np.clip(np.concatenate([model.fit.theta, [start[p] for p in added]]), space.low, space.high)
         for start in version.starts
     ]
     fit = settled(likeliest(wider, points, NEAR_STEPS))
     effects = tuple(sorted({*model.effects, version.effect}))  # another parameter of an effect is no further effect
-    return None if fit is None else Model(effects, fit, float(np.hypot(model.explained, version.score)))
+    explained = float(np.hypot(model.explained, version.score))
+    return None if fit is None else replace(model, effects=effects, fit=fit, explained=explained)
 
 
 def without(model: Model, effect: str) -> Model | None:
     """The model with one effect fewer, all other parameters fitted; None if it cannot be simulated."""
     simulator, theta = model.fit.simulator, model.fit.theta
-    kept = [k for k, name in enumerate(simulator.space.names) if name.split(".")[0] != effect]
+    names = simulator.space.names
+    kept = [k for k, name in enumerate(names) if name in model.base or name.split(".")[0] != effect]
     space = ParameterSpace(tuple(simulator.space.parameters[k] for k in kept))
     fit = settled(descend(model.fit.observation.extended(replace(simulator, space=space)), theta[kept], NEAR_STEPS))
     rest = tuple(name for name in model.effects if name != effect)
-    return None if fit is None else Model(rest, fit, model.explained)
+    return None if fit is None else replace(model, effects=rest, fit=fit)
 
 
 def explain(
@@ -72,7 +72,7 @@ def explain(
     def weight(model: Model) -> float:
         return model.weight(belief)
 
-    none = Model((), base, 0.0)
+    none = Model((), base, 0.0, base=base.simulator.space.names)
     repertoire = Repertoire.around(base, known)
     first = examine(none, repertoire, rng)
     pool: dict[tuple[str, ...], Model] = {(): none}
@@ -106,6 +106,7 @@ def explain(
         if not named or weight(named[0]) <= weight(best.model):
             break
         best = examine(named[0], repertoire, rng)
+        unnamed += beside(best, base.simulator.space)
     return Explanation(named, unnamed, first, best, belief).in_order()
 
 

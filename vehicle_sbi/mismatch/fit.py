@@ -137,12 +137,20 @@ class Metric:
 
     def log_likelihood(self, residual: Series) -> float:
         """Log density of a residual: noise and initial states, without the constant of the standard normal."""
-        scale = np.log(self.std)[self.valid].sum() + 0.5 * np.log1p(self.gain**2).sum()
+        return float(-0.5 * np.sum(self(residual) ** 2) - self.log_scale.sum())
+
+    @property
+    def log_scale(self) -> Series:
+        """Log of the volume that a unit of each sample stands for: its noise given the sample before, and an equal part
+        of what initial states add to the samples of its window; zero where nothing was measured."""
+        scale, window = np.where(self.valid, np.log(self.std), 0.0), self.noise.window
         for channel, rho in enumerate(self.noise.rho):
             kept = np.flatnonzero(self.valid[channel])
-            same = kept[:-1] // self.noise.window == kept[1:] // self.noise.window
-            scale += 0.5 * np.log1p(-(rho ** (2.0 * np.diff(kept)[same]))).sum() if rho > 0 else 0.0
-        return float(-0.5 * np.sum(self(residual) ** 2) - scale)
+            same = kept[:-1] // window == kept[1:] // window
+            scale[channel, kept[1:][same]] += 0.5 * np.log1p(-(rho ** (2.0 * np.diff(kept)[same]))) if rho > 0 else 0.0
+        states, of = 0.5 * np.log1p(self.gain**2).sum(axis=1), np.arange(self.valid.shape[1]) // window
+        samples = np.maximum(self.valid.sum(axis=0) @ (of[:, None] == np.arange(len(states))), 1)
+        return scale + np.where(self.valid, (states / samples)[of], 0.0)
 
 
 def _by_window(series: Float[np.ndarray, "k channels time"], window: int) -> Float[np.ndarray, "windows k samples"]:

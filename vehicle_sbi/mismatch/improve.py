@@ -7,14 +7,19 @@ those before it say of the parameters, so that log scores add up to that of the 
     log p(r) = log N(r; 0, I + J J') = log N(r; 0, I) + 1/2 b' A^-1 b - 1/2 log det A,   A = I + J' J,   b = J' r
 
 over all blocks up to one, less the same up to the one before. The gain is the paired difference of log score per
-sample, its uncertainty from that of blocks long enough to be nearly independent.
+sample, its uncertainty from that of blocks long enough to be nearly independent. So is that of each channel's
+continuous ranked probability score, which for a normal prediction is (Gneiting and Raftery 2007, sec. 4.2)
+
+    CRPS = std (z (2 Phi(z) - 1) + 2 phi(z) - pi^(-1/2)),   z the error over its std
+
+The extended model is accepted if its gain is certain and no channel's CRPS gets worse for certain.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.stats import norm, t
 
 from vehicle_sbi.mismatch.examine import Model
@@ -27,65 +32,94 @@ CONFIDENT = 0.9  # of the bounds on the gain
 
 @dataclass(frozen=True)
 class Prediction:
-    """How a model predicts held-out recordings: error over the signal's spread and coverage of the 90 % band of each
-    channel, log score of each block of time, and the series with the band's half width."""
+    """How a model predicts held-out recordings: error over the signal's spread of each channel, coverage of the 90 %
+    band, log score of each block of time, the sum of each channel's CRPS [channel's unit] in each, and the series with
+    the band's half width."""
 
     nrmse: dict[str, float]
     coverage90: float
     log_score: Float[np.ndarray, " blocks"]
+    crps: dict[str, Float[np.ndarray, " blocks"]]
     y: Float[np.ndarray, "channels time"]
     half_width: Float[np.ndarray, "channels time"]
-    samples: int
+    samples: dict[str, int]
 
     @property
     def mean_log_score(self) -> float:
-        return float(self.log_score.sum() / self.samples)
+        return float(self.log_score.sum() / sum(self.samples.values()))
+
+    @property
+    def mean_crps(self) -> dict[str, float]:
+        return {name: float(sums.sum() / self.samples[name]) for name, sums in self.crps.items()}
 
 
 @dataclass(frozen=True)
 class Gain:
-    """Log score per sample that a model gains over another: mean, standard error, one-sided bounds."""
+    """Log score per sample that a model gains over another: mean, standard error, one-sided bounds; and the channels
+    that it predicts worse for certain."""
 
     mean: float
     std: float
     low: float
     high: float
+    worse: tuple[str, ...] = ()
 
     @property
     def certain(self) -> bool:
         return self.low > 0.0
 
+    @property
+    def accepted(self) -> bool:
+        """Whether the model is to be preferred."""
+        return self.certain and not self.worse
 
-def predict(model: Model, held_out: Observation, *, apart: bool) -> Prediction:
-    """What the model makes of held-out recordings; `apart` says that they are others than it was fitted to."""
+
+def predict(model: Model, held_out: Observation, *, apart: bool) -> Prediction | None:
+    """What the model makes of held-out recordings; `apart` says that they are others than it was fitted to. None where
+    its simulation fails there."""
     fit, there = model.fit, elsewhere(model, held_out, apart=apart)
-    simulator, metric, valid = there.simulator, there.metric, there.simulator.windows.valid
-    rest = there.unexplained
+    simulator, valid = there.simulator, there.simulator.windows.valid
+    if not np.isfinite(there.at.y[valid]).all():
+        return None
+    metric, rest, channels = there.metric, there.unexplained, simulator.windows.channels
     spread = simulator.space.prior_std
     covariance = fit.covariance / np.outer(spread, spread)
     variance = metric.std**2 + np.einsum(
         "ict,ij,jct->ct", np.nan_to_num(there.at.J), covariance, np.nan_to_num(there.at.J)
     )
-    half = norm.ppf(0.95) * np.sqrt(variance)
+    std = np.sqrt(variance)
+    half = norm.ppf(0.95) * std
     r, J = metric(there.residual), metric(in_std(fit, there.at.J))
-    per_sample = -0.5 * r**2 - np.log(metric.std) - 0.5 * np.log(2 * np.pi)
-    per_sample -= 0.5 * np.log1p(-(simulator.noise.rho[:, None] ** 2))
-    count = max(2, int(r.shape[1] / (BLOCK_S * simulator.windows.rate)))
-    blocks = np.array_split(np.arange(r.shape[1]), count)
-    plain = np.array([per_sample[:, block][valid[:, block]].sum() for block in blocks])
-    nrmse = {
-        name: float(np.sqrt(np.mean(rest[i, valid[i]] ** 2)) / max(np.std(held_out.observed[i, valid[i]]), 1e-12))
-        for i, name in enumerate(simulator.windows.channels)
-        if valid[i].any()
-    }
+    per_sample = np.where(valid, -0.5 * r**2 - 0.5 * np.log(2 * np.pi), 0.0) - metric.log_scale
+    ranked = np.where(valid, crps(rest, std), 0.0)
+    blocks = _blocks(valid, BLOCK_S * simulator.windows.rate)
+    seen = [(i, name) for i, name in enumerate(channels) if valid[i].any()]
     return Prediction(
-        nrmse=nrmse,
+        nrmse={name: _error(rest[i, valid[i]], held_out.observed[i, valid[i]]) for i, name in seen},
         coverage90=float((np.abs(rest) <= half)[valid].mean()),
-        log_score=plain + _learnt(r, J, blocks),
+        log_score=np.array([per_sample[:, block].sum() for block in blocks]) + _learnt(r, J, blocks),
+        crps={name: np.array([ranked[i, block].sum() for block in blocks]) for i, name in seen},
         y=np.where(valid, held_out.observed - rest, there.at.y),
         half_width=half,
-        samples=int(valid.sum()),
+        samples={name: int(valid[i].sum()) for i, name in seen},
     )
+
+
+def crps(error: Float[np.ndarray, "*n"], std: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Of normal predictions that are off by an error."""
+    z = error / std
+    return std * (z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - np.pi**-0.5)
+
+
+def _blocks(valid: Bool[np.ndarray, "channels time"], length: float) -> list[np.ndarray]:
+    """What was measured, cut into at least two blocks of about so many samples of time."""
+    measured = np.flatnonzero(valid.any(axis=0))
+    return np.array_split(measured, max(2, int(len(measured) / length)))
+
+
+def _error(rest: Float[np.ndarray, " n"], observed: Float[np.ndarray, " n"]) -> float:
+    """Root mean square over the signal's spread."""
+    return float(np.sqrt(np.mean(rest**2)) / max(np.std(observed), 1e-12))
 
 
 def _learnt(
@@ -101,9 +135,17 @@ def _learnt(
 
 
 def gain(base: Prediction, extended: Prediction) -> Gain:
-    """Paired difference of log scores, over blocks of time."""
-    sums = extended.log_score - base.log_score
-    scale = len(sums) / base.samples
-    mean, std = float(sums.mean() * scale), float(sums.std(ddof=1) / np.sqrt(len(sums)) * scale)
-    reach = float(t.ppf(CONFIDENT, len(sums) - 1)) * std
-    return Gain(mean, std, mean - reach, mean + reach)
+    """Paired differences of log scores and of each channel's CRPS, over blocks of time."""
+    mean, std, reach = _paired(extended.log_score - base.log_score, sum(base.samples.values()))
+    worse = []
+    for name, sums in base.crps.items():
+        more, _, bound = _paired(extended.crps[name] - sums, base.samples[name])
+        worse += [name] if more > bound else []
+    return Gain(mean, std, mean - reach, mean + reach, tuple(worse))
+
+
+def _paired(sums: Float[np.ndarray, " blocks"], samples: int) -> tuple[float, float, float]:
+    """Mean per sample of what blocks add up to, its standard error, and how far its one-sided bounds are away."""
+    scale = len(sums) / samples
+    std = float(sums.std(ddof=1) / np.sqrt(len(sums)) * scale)
+    return float(sums.mean() * scale), std, float(t.ppf(CONFIDENT, len(sums) - 1)) * std

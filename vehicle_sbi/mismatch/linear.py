@@ -24,6 +24,7 @@ ITERATIONS = 6  # of sizes and noise, in turn
 LEAST_VARIANCE = 1e-18
 STEADYING = 1e-9  # of the diagonal, for directions that are one and the same
 WIDTH = 12.0**0.5  # of a uniform prior, in its standard deviations
+MODELS = 100  # at once, for memory's sake
 
 Products = Float[np.ndarray, "3 channels i j"]
 
@@ -238,6 +239,12 @@ def profile(
     Sizes are as likely everywhere, or normal about zero with a `precision`.
     """
     k, q, m, p = *changes.shape[:2], len(about.J), len(about.back)
+    if k > MODELS:
+        low, high = (np.broadcast_to(end, (k, q)) for end in (low, high))
+        parts = [slice(first, first + MODELS) for first in range(0, k, MODELS)]
+        found = [profile(about, changes[part], low[part], high[part], precision=precision) for part in parts]
+        each = [(one.size, one.log_likelihood, one.information) for one in found]
+        return Profiled(*(np.concatenate(values) for values in zip(*each, strict=True)))
     quadratic = Quadratic.of(about, changes)
     prior = np.diag(np.repeat([1.0, 0.0, precision], [m, p, q]))
     low, high = (

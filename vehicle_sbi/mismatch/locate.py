@@ -6,7 +6,7 @@ are tested like effects are, after what the fitted parameters and initial states
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -90,21 +90,23 @@ def bump(t: Float[np.ndarray, " time"], start: float, stop: float) -> Float[np.n
     return np.sin(np.pi * np.clip((t - start) / (stop - start), 0.0, 1.0)) ** 2
 
 
-def regimes(simulator: Simulator, y: Float[np.ndarray, "channels time"]) -> dict[str, Float[np.ndarray, " time"]]:
-    """Signals of the drive whose extremes make a regime, by name, a value per sample."""
-    u = simulator.windows.u.reshape(-1, len(INPUTS))
-    steering, rate = u[:, INPUTS.index("steering")], simulator.windows.rate
-    signals = {"|steering|": np.abs(steering), "steering rate": np.abs(np.gradient(steering) * rate)}
-    if "a_y" in simulator.windows.channels:
-        signals["|a_y|"] = np.abs(y[simulator.windows.channels.index("a_y")])
-    for name, column in (("speed", "v_x"), ("torque", "torque_front")):
-        if np.ptp(u[:, INPUTS.index(column)]) > 0:
-            signals[name] = u[:, INPUTS.index(column)]
-    return signals
+def regimes(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], y: Float[np.ndarray, "channels time"]
+) -> dict[str, Float[np.ndarray, " time"]]:
+    """Signals of the drive whose extremes make a regime, by name, a value per sample; the speed is the model's."""
+    windows = simulator.windows
+    steering, front, rear = (windows.u[..., INPUTS.index(name)] for name in ("steering", "torque_front", "torque_rear"))
+    turning = np.abs(np.gradient(steering, axis=1) * windows.rate)
+    signals = {"|steering|": np.abs(steering).reshape(-1), "steering rate": turning.reshape(-1)}
+    if "a_y" in windows.channels:
+        signals["|a_y|"] = np.abs(y[windows.channels.index("a_y")])
+    watched = replace(simulator, windows=replace(windows, channels=("v_x",), groups=("imu",)))
+    changing = {"speed": watched.noise_free(theta[None])[0, 0], "torque": (front + rear).reshape(-1)}
+    return signals | {name: signal for name, signal in changing.items() if np.ptp(signal) > 0}
 
 
 def blocks(
-    simulator: Simulator, y: Float[np.ndarray, "channels time"]
+    simulator: Simulator, theta: Float[np.ndarray, " d"], y: Float[np.ndarray, "channels time"]
 ) -> tuple[list[Block], Float[np.ndarray, "k channels time"]]:
     """Every block and the change of the series that it stands for.
 
@@ -117,7 +119,7 @@ def blocks(
         for channel in channels:
             rows.append(Block(channel, start, stop))
             bumps.append(bump(t, start, stop))
-    for name, signal in regimes(simulator, y).items():
+    for name, signal in regimes(simulator, theta, y).items():
         limit = np.quantile(signal, 1.0 - BUSY)
         for i, channel in enumerate(channels):
             for regime, shape in (

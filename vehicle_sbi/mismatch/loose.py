@@ -1,8 +1,9 @@
 """What follows no signal of the drive: a load or an error that takes a course of its own, or sets in at a moment and
 stays; a sensor that reads in steps; a steering that sticks.
 
-They stand for something unknown beside the laws. They are not fitted but weighed: what they do to the series has sizes
-that are normal about zero, so that their evidence and what they foretell are those of a normal with a wider covariance.
+They stand for something unknown beside the laws. They are not fitted but weighed. What they do to the series has sizes
+that are normal about zero, so that their evidence and what they foretell are those of a normal with a wider covariance;
+but for what sets in, whose size is as likely anywhere in its box and foretells nothing of other recordings.
 """
 
 from collections.abc import Iterator
@@ -104,7 +105,7 @@ def loose(fit: Fit) -> Iterator[Loose]:
 def courses(about: Linearised) -> Iterator[Course]:
     """Every target, its size averaged over and at the likeliest of those that are tried."""
     fit = about.fit
-    acting = [target for target in targets(fit.simulator, fit.at.y) if target.size.high > 0.0]
+    acting = targets(fit.simulator, fit.at.y)
     for target, rows in zip(acting, deviations(fit, acting), strict=True):
         size = SIZES * target.size.high
         evidence = np.array([gained_at_random(about, s * rows) for s in size])

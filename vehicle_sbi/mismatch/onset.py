@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.candidates import extent, tile
+from vehicle_sbi.mismatch.detect import uniform_evidence
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law, Target, law_slopes, targets
 from vehicle_sbi.mismatch.linear import LEAST_VARIANCE, Linearised, profile
@@ -58,14 +59,14 @@ class Tried:
 def onsets(about: Linearised) -> Iterator[Onset]:
     """Every target at its likeliest moment."""
     fit = about.fit
-    acting = [target for target in targets(fit.simulator, fit.at.y) if target.size.high > 0.0]
+    acting = targets(fit.simulator, fit.at.y)
     for target in acting:
         tried = refined(about, target, at(about, target, moments(fit.simulator)))
         gain = float(np.logaddexp.reduce(tried.evidence))
         weight, k = np.exp(tried.evidence - gain), int(np.argmax(tried.evidence))
         start, size = float(tried.starts[k]), float(tried.size[k])
         start_std = float(np.sqrt(weight @ (tried.starts - weight @ tried.starts) ** 2))
-        std = float(max(tried.information[k], LEAST_VARIANCE) ** -0.5)
+        std = float(tried.information[k] ** -0.5)
         within = own_time(fit.simulator, start, np.inf)
         yield Onset(target, start, start_std, size, min(std, target.size.high), gain, len(acting), within)
 
@@ -76,8 +77,9 @@ def at(about: Linearised, target: Target, starts: Float[np.ndarray, " n"]) -> Tr
     none = profile(about, np.zeros((1, 0, *about.fit.at.y.shape)), nothing, nothing).log_likelihood[0]
     low, high = (np.full((len(starts), 1), end) for end in (target.size.low, target.size.high))
     found = profile(about, changes(about.fit, target, starts)[:, None], low, high)
-    information, widths = found.information[:, 0, 0], (high - low)[:, 0]
-    evidence = found.log_likelihood - none - 0.5 * np.log1p(information * widths**2 / 12.0)
+    information = np.maximum(found.information[:, 0, 0], LEAST_VARIANCE)
+    gain = np.maximum(found.log_likelihood - none, 0.0)
+    evidence = uniform_evidence(gain, found.size[:, 0], information, low[:, 0], high[:, 0])
     return Tried(starts, found.size[:, 0], information, evidence - np.log(len(starts)))
 
 

@@ -68,7 +68,7 @@ class Repertoire:
         simulator, theta, y = fit.simulator, fit.theta, fit.at.y
         new = [d for d in known if not _fitted(fit, d)]
         stepped = _stepped(fit, new)
-        places, bumps = blocks(simulator, y)
+        places, bumps = blocks(simulator, theta, y)
         given = laws(simulator, theta, y)
         ruled = law_slopes(simulator, theta, y, given)
         named = np.array([change for _, change in stepped]).reshape(-1, *y.shape)

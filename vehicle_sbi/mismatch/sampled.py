@@ -97,17 +97,12 @@ def sized(found: Explanation, rng: np.random.Generator) -> Explanation:
     if not (found.detected and found.models) or found.standing[0] < LIKELY:
         return found
     model, *others = found.models
-    if not len(model.effects) < int(_own(model).sum()) <= MOST or model.fit.at.y.size > MOST_SAMPLES:
+    if not len(model.effects) < int(model.own.sum()) <= MOST or model.fit.at.y.size > MOST_SAMPLES:
         return found
     draws = sampled(model, found.temper, rng)
     if draws is None:
         return found
     return replace(found, models=[replace(_at_its_best(model, draws), posterior=draws), *others])
-
-
-def _own(model: Model) -> Bool[np.ndarray, " d"]:
-    """Which parameters are those of effects."""
-    return np.array([name.split(".")[0] in model.effects for name in model.fit.simulator.space.names])
 
 
 def _at_its_best(model: Model, draws: Float[np.ndarray, "n d"]) -> Model:
@@ -122,7 +117,7 @@ def _at_its_best(model: Model, draws: Float[np.ndarray, "n d"]) -> Model:
 
 def sampled(model: Model, power: float, rng: np.random.Generator) -> Float[np.ndarray, "n d"] | None:
     """Draws of all parameters of a model with effects; None where they do not reach the fit."""
-    fit, own = model.fit, _own(model)
+    fit, own = model.fit, model.own
     target = Marginal(fit, own, power)
     low, high = target.box
     phi = rng.uniform(low, high, (POINTS, len(low)))

@@ -111,4 +111,5 @@ def _steps(said: Float[np.ndarray, " time"], std: float) -> Float[np.ndarray, " 
     if not finest < coarsest:
         return np.zeros(0)
     spacing = 2.0 * PHASE / float(np.abs(said).max())
-    return 1.0 / np.arange(1.0 / coarsest, 1.0 / finest, spacing)[: max(int(MOST / len(said)), 1)]
+    number = min((1.0 / finest - 1.0 / coarsest) / spacing, MOST / len(said))
+    return 1.0 / (1.0 / coarsest + spacing * np.arange(max(int(number), 1)))

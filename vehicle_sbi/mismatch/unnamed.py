@@ -39,7 +39,7 @@ def ruled(examined: Examined) -> Iterator[Model]:
         start = np.append(model.fit.theta, np.clip(size[k], 0.98 * law.target.size.low, 0.98 * law.target.size.high))
         fit = settled(descend(model.fit.observation.extended(under(model.fit.simulator, law)), start, NEAR_STEPS))
         if fit is not None:
-            yield Model(model.effects, fit, model.explained, law, KINDS * len(examined.free.laws))
+            yield replace(model, fit=fit, outside=law, choice=KINDS * len(examined.free.laws))
 
 
 def beyond_laws(model: Model) -> Iterator[Model]:

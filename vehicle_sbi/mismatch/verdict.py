@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, truncnorm
 
+from vehicle_sbi.mismatch.agreement import disagreeing
 from vehicle_sbi.mismatch.answer import (
     Estimate,
     Followed,
@@ -80,11 +81,8 @@ def places(explanation: Explanation) -> list[Place]:
 
 def _named(explanation: Explanation, k: int) -> Named:
     model = explanation.models[k]
-    own = {
-        name: value
-        for name, value in estimates(model, explanation.temper).items()
-        if name.split(".")[0] in model.effects
-    }
+    every = estimates(model, explanation.temper).items()
+    own = {name: value for (name, value), mine in zip(every, model.own, strict=True) if mine}
     beside = explanation.beside_unknown.get(model.effects, 0.0)
     foretold = None if explanation.p_told is None else model.told
     return Named(model.effects, explanation.probability[k], beside, own, foretold, _acts(model, own))
@@ -117,11 +115,12 @@ def verdict(
     before, after = (estimates(one, explanation.temper) for one in (explanation.base.model, model))
     together = explanation.indistinguishable() if explanation.detected else []
     unknown = _unknown(explanation) if explanation.p_unknown > SPOKEN_OF else None
-    covered = predictions["base"].coverage90
+    covered = predictions["base"].coverage90 if "base" in predictions else 0.0
     fit: dict[str, object] = {"heldout": list(case.held_out_names)}
-    fit |= {name: asdict(Score(p.nrmse, p.mean_log_score, p.coverage90)) for name, p in predictions.items()}
+    fit |= {name: asdict(_score(prediction)) for name, prediction in predictions.items()}
     if gained is not None:
         fit["gain_log_score"] = asdict(gained)
+        fit["accepted"] = gained.accepted
     found = [_named(explanation, k) for k in range(min(len(explanation.models), LISTED))]
     mismatch = places(explanation) if explanation.detected else []
     rest = sum(explanation.probability[LISTED:])
@@ -136,6 +135,7 @@ def verdict(
         effects=explanation.single,
         p_none=explanation.p_none,
         p_unknown=explanation.p_unknown + rest,
+        share_explained=_share_explained(explanation),
         unknown=unknown,
         indistinguishable=exchangeable(together),
         separating_experiment=_advice(explanation, together),
@@ -147,9 +147,25 @@ def verdict(
         could_show={name: Visible(c.parameter.name, c.size, c.parameter.unit) for name, c in seen.could_show().items()},
         invisible=seen.invisible(),
         warnings=warnings,
-        notes=[*warnings, *_doubts(explanation), *case.notes],
+        notes=[*warnings, *_doubts(explanation), *_unpredicted(explanation, predictions), *case.notes],
         sentence=said if passed.trusted else distrusted(said),
     )
+
+
+def _share_explained(explanation: Explanation) -> float | None:
+    """By the likeliest set, where that is the one that was examined."""
+    best = explanation.best
+    return best.share_explained if chosen(explanation).effects == best.model.effects and explanation.detected else None
+
+
+def _unpredicted(explanation: Explanation, predictions: Mapping[str, Prediction]) -> list[str]:
+    """Which models spin out where something was held out."""
+    models = ("base", "extended") if chosen(explanation) is not explanation.base.model else ("base",)
+    return [f"The {name} model cannot be simulated in what was held out." for name in models if name not in predictions]
+
+
+def _score(prediction: Prediction) -> Score:
+    return Score(prediction.nrmse, prediction.mean_crps, prediction.mean_log_score, prediction.coverage90)
 
 
 def _unknown(explanation: Explanation) -> Unknown:
@@ -199,8 +215,13 @@ def _rim(fit: Fit) -> list[str]:
 
 
 def _doubts(explanation: Explanation) -> list[str]:
-    """Which of the likely explanations recordings that were held out speak against."""
+    """Which of the likely explanations recordings that were held out speak against, and effects of the likeliest whose
+    sizes differ between recordings."""
+    differing = disagreeing(chosen(explanation)) if explanation.detected else []
     return [
+        f"{name} would be of another size in each recording: what it stands for is likely to be something else."
+        for name in differing
+    ] + [
         f"{listed(model.effects)} would predict held-out recordings worse than the base model does: what it stands "
         "for is likely to be something else."
         for model, probability in zip(explanation.models, explanation.standing, strict=True)
@@ -209,8 +230,9 @@ def _doubts(explanation: Explanation) -> list[str]:
 
 
 def _advice(explanation: Explanation, together: Sequence[tuple[str, ...]]) -> str:
-    """The experiment that separates the two most probable explanations, where they are hard to tell apart."""
-    return advice(*explanation.models[:2]) if len(together) > 1 else ""
+    """The experiment that separates the two most probable explanations that are hard to tell apart, if there are."""
+    model = {one.effects: one for one in explanation.models}
+    return advice(*(model[effects] for effects in together[:2])) if len(together) > 1 else ""
 
 
 def _plain(estimate: Estimate) -> dict[str, float]:

@@ -46,14 +46,21 @@ def sentence(
         said.append(f"These recordings cannot tell it from {', or '.join(named)}.")
         said.append(_whatever_else(explanation.single))
     if gained is not None:
-        gain = f"On held-out data the extended model gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample"
-        said.append(f"{gain}." if gained.certain else f"{gain}, which is not certain to be a gain.")
+        said.append(_proof(gained))
     return " ".join(said)
 
 
 def distrusted(said: str) -> str:
     """The same of a fit that is not to be trusted."""
     return f"The base model's fit is not to be trusted; by it, {said[0].lower()}{said[1:]}"
+
+
+def _proof(gained: Gain) -> str:
+    """Whether the extended model is to be preferred."""
+    said = f"On held-out data the extended model gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample"
+    if not gained.certain:
+        return f"{said}, which is not certain to be a gain."
+    return f"{said}, but predicts {' and '.join(gained.worse)} worse." if gained.worse else f"{said}."
 
 
 def _difference(p_value: float, mismatch: Sequence[Place]) -> str:
@@ -66,20 +73,24 @@ def _answer(explanation: Explanation, found: Sequence[Named], unknown: Unknown |
     """What explains it, as far as anything known does."""
     if not found:
         return "No known effect explains any of it."
-    best = found[0]
+    best, examined = found[0], explanation.best
     named, verb = listed(best.effects), "explains" if len(best.effects) == 1 else "explain"
-    if explanation.p_unknown <= sum(explanation.probability):
-        said = f"{named} {verb} it with probability {best.probability:.2f}"
+    share = f"{examined.share_explained:.0%}" if examined.model.effects == best.effects else ""
+    likeliest = max(best.probability, explanation.p_unknown)
+    if explanation.p_none > likeliest:
+        said = f"Still the likeliest is that nothing is missing ({explanation.p_none:.2f}); else {named} {verb} it best"
+        said += f", with {best.probability:.2f}"
+    elif explanation.p_unknown <= sum(explanation.probability):
+        said = f"{named} {verb} {f'{share} of ' if share else ''}it with probability {best.probability:.2f}"
     elif unknown is not None and not unknown.effects:
         nearest = f"of known effects {named} {verb} it best, with {best.probability:.2f}"
         said = f"Something outside the catalogue explains it with probability {explanation.p_unknown:.2f}; {nearest}"
     else:
-        left, examined = explanation.best.largest_block, explanation.best.model.effects == best.effects
-        within = lies_in(explanation.best.model.fit.simulator, left)
-        share = f"{explanation.best.share_explained:.0%} at most" if examined else "a part of it"
+        left, part = examined.largest_block, f"{share} at most" if share else "a part of it"
+        where = _when(left.regime, lies_in(examined.model.fit.simulator, left))
         said = (
-            f"No known effect explains all of it: {named} {verb} {share}, and something unknown "
-            f"remains in {left.channel} {_when(left.regime, within)}"
+            f"No known effect explains all of it: {named} {verb} {part}, and something unknown remains in "
+            f"{left.channel} {where}"
         )
     meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
     sizes = "; ".join(size for name in best.effects for size in _sizes(name, best.sizes))

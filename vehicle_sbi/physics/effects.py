@@ -170,6 +170,13 @@ CATALOGUE: Mapping[str, Effect] = {
 
 EFFECT_PARAMETERS: Mapping[str, Parameter] = {p.name: p for effect in CATALOGUE.values() for p in effect.parameters}
 DEAD_TIMES = tuple(p.name for e in CATALOGUE.values() if e.source == DEAD_TIME for p in e.parameters)
+
+# What belongs to the road and the air rather than to the car and has a side or a direction: fields of the record, each
+# with the one whose value it takes, with the other sign, for a car that comes the other way along the same road.
+ONCOMING: Mapping[str, str] = {
+    **{name: name for name in ("road_grade_angle", "road_bank_angle", "crosswind_force", "gust_force")},
+    **{f"road_grade_profile_angle_{i}": f"road_grade_profile_angle_{KNOTS - 1 - i}" for i in range(KNOTS)},
+}
 _EFFECT_FIELDS = tuple(name for p in EFFECT_PARAMETERS.values() for name in p.fields)
 
 # What follows from the others and stays constant over a simulation; `derive` fills it.

@@ -93,12 +93,14 @@ def explained(
 
 
 def proved(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gain | None]:
-    """How base and extended model predict what was held out, and what the latter gains."""
-    base, model = predict(found.base.model, case.held_out, apart=case.apart), chosen(found)
-    if model is found.base.model:
-        return {"base": base}, None
-    extended = predict(model, case.held_out, apart=case.apart)
-    return {"base": base, "extended": extended}, gain(base, extended)
+    """How base and extended model predict what was held out, if they can be simulated there, and what the latter
+    gains."""
+    models = {"base": found.base.model, "extended": chosen(found)}
+    if models["extended"] is models["base"]:
+        del models["extended"]
+    tried = {name: predict(model, case.held_out, apart=case.apart) for name, model in models.items()}
+    predictions = {name: prediction for name, prediction in tried.items() if prediction is not None}
+    return predictions, gain(**predictions) if len(predictions) == 2 else None
 
 
 def _kept(folder: RunFolder, name: str, compute: Callable[[], Result], bar: tqdm) -> Result:
@@ -130,12 +132,13 @@ def write_report(
         "Recorded less simulated, before and after; shaded where the base model misses": figures / "residuals.png",
         "Probability of each explanation": figures / "probabilities.png",
         "The base model's parameters before and after": figures / "shifts.png",
-        "Held-out recordings, predicted by both models": figures / "held_out.png",
     }
     residuals(found, answer, figures / "residuals.png")
     probabilities(answer, figures / "probabilities.png")
     shifts(answer, found.base.model.fit.simulator.space, figures / "shifts.png")
-    held_out_figure(case.held_out, predictions, figures / "held_out.png")
+    if predictions:
+        pictures["Held-out recordings, predicted by both models"] = figures / "held_out.png"
+        held_out_figure(case.held_out, predictions, figures / "held_out.png")
     write_page(
         path / "report.html",
         title=f"Diagnosis of {case.name}",
@@ -200,6 +203,7 @@ def _scores(answer: Verdict) -> pd.DataFrame:
         score: Any = answer.fit.get(name)
         if score is not None:
             errors = {f"NRMSE {channel}": f"{value:.3f}" for channel, value in score["nrmse"].items()}
+            errors |= {f"CRPS {channel}": f"{value:.3g}" for channel, value in score["crps"].items()}
             rows.append(
                 {
                     "model": name,
