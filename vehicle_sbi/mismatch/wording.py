@@ -71,15 +71,15 @@ def _difference(p_value: float, mismatch: Sequence[Place]) -> str:
 
 def _answer(explanation: Explanation, found: Sequence[Named], unknown: Unknown | None) -> str:
     """What explains it, as far as anything known does."""
+    nothing = f"Still the likeliest is that nothing is missing ({explanation.p_none:.2f})"
     if not found:
-        return "No known effect explains any of it."
+        return f"{nothing}." if explanation.p_none > explanation.p_unknown else "No known effect explains any of it."
     best, examined = found[0], explanation.best
     named, verb = listed(best.effects), "explains" if len(best.effects) == 1 else "explain"
     share = f"{examined.share_explained:.0%}" if examined.model.effects == best.effects else ""
     likeliest = max(best.probability, explanation.p_unknown)
     if explanation.p_none > likeliest:
-        said = f"Still the likeliest is that nothing is missing ({explanation.p_none:.2f}); else {named} {verb} it best"
-        said += f", with {best.probability:.2f}"
+        said = f"{nothing}; else {named} {verb} it best, with {best.probability:.2f}"
     elif explanation.p_unknown <= sum(explanation.probability):
         said = f"{named} {verb} {f'{share} of ' if share else ''}it with probability {best.probability:.2f}"
     elif unknown is not None and not unknown.effects:
