@@ -7,6 +7,9 @@ PYTHON ?= python3
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 ARGS ?=
 
+# Tests run on every core, on four at most for memory's sake; a file's tests share what they have set up.
+SPREAD := -n auto --maxprocesses 4 --dist loadfile
+
 VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
@@ -28,10 +31,10 @@ run: $(STAMP)  ## the paper's study; ARGS="key=value …" changes it
 	@$(PY) scripts/run.py $(ARGS)
 
 test: $(STAMP)  ## the tests that take seconds
-	@$(PY) -m pytest $(ARGS)
+	@$(PY) -m pytest $(SPREAD) $(ARGS)
 
 test-all: $(STAMP)  ## every test, the slow ones included
-	@$(PY) -m pytest -m "slow or not slow" $(ARGS)
+	@$(PY) -m pytest $(SPREAD) -m "slow or not slow" $(ARGS)
 
 lint: $(STAMP)  ## style, formatting and types
 	@$(PY) -m ruff check
