@@ -57,7 +57,7 @@ def test_the_density_is_that_of_a_normal_with_noise_and_parameters_in_its_covari
         C += rows.T @ rows
     r = there.residual[valid]
     expected = -0.5 * r @ np.linalg.solve(C, r) - 0.5 * np.linalg.slogdet(C)[1]
-    found = foretold(Model((), fit, 0.0, outside=gyro if wanders else None), held, apart=True)
+    found = foretold(Model((), fit, 0.0, outside=gyro if wanders else None), held)
     assert found is not None
     assert found.log_likelihood == pytest.approx(expected, rel=1e-6)
 
@@ -69,13 +69,13 @@ def test_parameters_that_stay_are_no_surprise_and_those_that_change_are() -> Non
     found = []
     for seed in range(20):
         fit = fitted(replace(recorded(sim, seed=seed), estimated=False))
-        one = foretold(Model((), fit, 0.0), recorded(sim, seed=100 + seed), apart=True)
+        one = foretold(Model((), fit, 0.0), recorded(sim, seed=100 + seed))
         assert one is not None
         found.append(one.p_value)
     assert kstest(found, "uniform", alternative="greater").pvalue > 1e-3
     changed = recorded(sim, seed=50, steering_ratio__gain=1.1)
     fit = fitted(replace(recorded(sim), estimated=False))
-    one = foretold(Model((), fit, 0.0), changed, apart=True)
+    one = foretold(Model((), fit, 0.0), changed)
     assert one is not None
     assert one.p_value < 1e-3
 
@@ -83,7 +83,7 @@ def test_parameters_that_stay_are_no_surprise_and_those_that_change_are() -> Non
 def test_a_simulation_that_fails_foretells_nothing() -> None:
     fit = fitted(recorded(lateral()))
     stalled = faster(lateral(), np.nan)
-    assert foretold(Model((), fit, 0.0), Observation(stalled, np.zeros_like(fit.residual), True), apart=True) is None
+    assert foretold(Model((), fit, 0.0), Observation(stalled, np.zeros_like(fit.residual), True)) is None
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def probability(found: Explanation, effect: str) -> float:
 
 def test_a_drive_at_another_speed_tells_apart_what_fits_alike(alike: Explanation) -> None:
     further = recorded(faster(lateral(), 2.0), seed=7, yaw_moment__moment=300.0)
-    told = alike.foretelling(further, apart=True)
+    told = alike.foretelling(further)
     assert abs(np.log(probability(alike, "yaw_moment") / probability(alike, "steering_offset"))) < np.log(20)
     assert probability(told, "yaw_moment") > 20 * probability(told, "steering_offset")
     assert told.models[0].effects == ("yaw_moment",)
@@ -113,7 +113,7 @@ def test_a_drive_at_another_speed_tells_apart_what_fits_alike(alike: Explanation
 
 def test_what_harms_elsewhere_is_doubted_and_makes_something_unknown_likelier(alike: Explanation) -> None:
     calm = recorded(faster(lateral(), 2.0), seed=7)  # nothing is missing there
-    told = alike.foretelling(calm, apart=True)
+    told = alike.foretelling(calm)
     assert all(doubted(model) for model in told.models)
     assert told.models[0].told < DOUBTED
     assert told.p_unknown + told.p_none > alike.p_unknown + alike.p_none
@@ -128,7 +128,7 @@ def test_what_even_the_best_leaves_over_elsewhere_counts_as_noise(alike: Explana
     wave = np.zeros_like(further.observed)
     wave[0] = 3.0 * np.sqrt(2.0) * std * np.sin(2.0 * np.pi * np.arange(time) / 10.0)
     loud = replace(further, observed=further.observed + np.where(further.simulator.windows.valid, wave, 0.0))
-    calm, spoilt = ({m.effects: m.told for m in alike.foretelling(one, apart=True).models} for one in (further, loud))
+    calm, spoilt = ({m.effects: m.told for m in alike.foretelling(one).models} for one in (further, loud))
     # Three channels of mean square 1 + 9, 1 and 1 have 4 together.
     for effects, told in calm.items():
         assert spoilt[effects] == pytest.approx(told / 4.0, rel=0.25)

@@ -52,15 +52,14 @@ def test_its_moment_and_its_size_are_found(fit: Fit) -> None:
 
 def test_its_evidence_is_the_integral_over_size_and_the_mean_over_moments(fit: Fit) -> None:
     about, found = Linearised.of(fit), of_moment(fit)
-    target, nothing = found.target, np.zeros((1, 0))
-    none = profile(about, np.zeros((1, 0, *fit.at.y.shape)), nothing, nothing).log_likelihood[0]
+    target = found.target
     low, high = target.size.low, target.size.high
     near = [max(low, found.size - 30.0 * found.std), min(high, found.size + 30.0 * found.std)]
 
     def evidence(change: np.ndarray) -> float:
         def density(a: float) -> float:
             there = profile(about, change[None, None], np.array([[a]]), np.array([[a]])).log_likelihood[0]
-            return float(np.exp(there - none - found.gain)) / (high - low)
+            return float(np.exp(there - about.alone - found.gain)) / (high - low)
 
         return quad(density, near[0], near[1], points=[found.size], epsrel=1e-6, limit=200)[0]
 
@@ -89,9 +88,8 @@ def test_what_is_there_from_the_beginning_has_not_set_in() -> None:
     known = next(t for t in targets(steady.simulator, steady.at.y) if t.name == MOMENT)
     always = changes(steady, known, np.array([0.0]))
     bounds = np.array([[known.size.low]]), np.array([[known.size.high]])
-    about, nothing = Linearised.of(steady), np.zeros((1, 0))
-    none = profile(about, np.zeros((1, 0, *steady.at.y.shape)), nothing, nothing).log_likelihood[0]
-    throughout = profile(about, always[:, None], *bounds).log_likelihood[0] - none
+    about = Linearised.of(steady)
+    throughout = profile(about, always[:, None], *bounds).log_likelihood[0] - about.alone
     assert throughout > 20.0
     assert of_moment(steady).gain < throughout
 

@@ -122,9 +122,8 @@ def score(
     """Scores of `changes` (per unit of a size that the prior bounds between low and high) at a fit, and of those rows
     of them that are also tested `together`, at any size; with a null also whether a channel reads in steps."""
     about = Linearised.of(fit)
-    none = profile(about, changes[None, :0], np.zeros((1, 0)), np.zeros((1, 0)))
     each = profile(about, changes[:, None], low[:, None], high[:, None])
-    gain = np.maximum(each.log_likelihood - none.log_likelihood, 0.0)
+    gain = np.maximum(each.log_likelihood - about.alone, 0.0)
     information = np.maximum(each.information[:, 0, 0], 1e-12)
     groups = [Together.of(about, changes[[*rows]]) for rows in together]
     groups = [*groups, Staircases(Staircase.of_each(about))] if draws else groups

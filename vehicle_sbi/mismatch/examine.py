@@ -164,7 +164,7 @@ def _by_effect(found: Sequence[Direction]) -> dict[str, dict[str, list[int]]]:
 
 def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joint]:
     """Effects with several directions: all of them at once, sizes as likely anywhere in their boxes."""
-    found, changes, base = free.of.directions, free.named, _of_none(about, free)
+    found, changes = free.of.directions, free.named
     together = {}
     for effect, by_parameter in _by_effect(found).items():
         if len(by_parameter) < 2:
@@ -172,17 +172,11 @@ def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joi
         rows = [ks[int(np.argmax(scores.gain[ks]))] for ks in by_parameter.values()]
         low, high = (np.array([[getattr(found[k], end) for k in rows]]) for end in ("low", "high"))
         best = profile(about, changes[rows][None], low, high)
-        gain = float(best.log_likelihood[0] - base)
+        gain = float(best.log_likelihood[0] - about.alone)
         _, log_det = np.linalg.slogdet(np.eye(len(rows)) + best.information[0] * (high - low)[0] ** 2 / 12.0)
         volume = -0.5 * float(log_det) + 0.5 * len(rows) * np.log(2 * np.pi / 12.0)
         together[effect] = Joint(rows, best.size[0], gain, gain + volume)
     return together
-
-
-def _of_none(about: Linearised, free: Repertoire) -> float:
-    """Log likelihood without any direction."""
-    nothing = np.zeros((1, 0))
-    return float(profile(about, free.named[None, :0], nothing, nothing).log_likelihood[0])
 
 
 def _starts(about: Linearised, free: Repertoire) -> dict[Parameter, list[dict[Parameter, float]]]:
@@ -201,7 +195,7 @@ def _larger_steps(about: Linearised, free: Repertoire) -> dict[Parameter, list[d
     size = np.array([[d.away - null(d.parameter)] for d in found])
     reach = AS_SIMULATED * np.abs(size)
     likelihood = profile(about, free.named[rows][:, None], size - reach, size + reach).log_likelihood
-    helpful = np.flatnonzero(likelihood > _of_none(about, free))
+    helpful = np.flatnonzero(likelihood > about.alone)
     starts: dict[Parameter, list[dict[Parameter, float]]] = {}
     for k in helpful[np.argsort(-likelihood[helpful])]:
         along = starts.setdefault(found[k].parameter, [])

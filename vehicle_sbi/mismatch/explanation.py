@@ -43,17 +43,17 @@ class Explanation:
     belief: Belief
     p_told: float | None = None
 
-    def foretelling(self, further: Observation, *, apart: bool) -> "Explanation":
+    def foretelling(self, further: Observation) -> "Explanation":
         """With what further recordings say of each model; as it is where the base model fails there.
 
         What even the best of them leaves over there counts as noise, which likelihoods are taken under.
         """
-        base = foretold(self.base.model, further, apart=apart)
+        base = foretold(self.base.model, further)
         if base is None or not self.detected:
             return self
         models = [*self.models, *self.unnamed, self.best.model]
         once = {id(model): model for model in models}  # the best one is among the others
-        each = {key: foretold(model, further, apart=apart) for key, model in once.items()}
+        each = {key: foretold(model, further) for key, model in once.items()}
         found = [each[id(model)] for model in models]
         noise = max(1.0, min(one.left for one in (base, *found) if one is not None))
         told = [

@@ -274,7 +274,7 @@ def _in_time(fit: Fit, steps: int) -> Fit:
     for k, name in enumerate(names):
         lasts = name.replace(".start", ".duration")
         if name in DEAD_TIMES:
-            fit = _likelier(fit, elsewhere(fit, k), steps)
+            fit = _likelier(fit, delayed(fit, k), steps)
         elif lasts != name and lasts in names:
             for reach in REACHES_S:
                 fit = _likelier(fit, begun(fit, k, names.index(lasts), reach), steps)
@@ -287,7 +287,7 @@ def _likelier(fit: Fit, theta: Float[np.ndarray, " d"], steps: int) -> Fit:
     return moved if moved is not None and moved.log_likelihood > fit.log_likelihood else fit
 
 
-def elsewhere(fit: Fit, k: int) -> Float[np.ndarray, " d"]:
+def delayed(fit: Fit, k: int) -> Float[np.ndarray, " d"]:
     """theta with dead time k where in its box the model fits best, the other parameters following at first order."""
     space = fit.simulator.space
     step = max(0.5 / fit.simulator.windows.rate, (space.high[k] - space.low[k]) / MOST_DEAD_TIMES)

@@ -40,12 +40,9 @@ class Foretold:
     left: float
 
 
-def foretold(model: Model, observation: Observation, *, apart: bool) -> Foretold | None:
-    """Of recordings that the model was not fitted to; None where its simulation fails.
-
-    `apart` says that they are others than it was fitted to, rather than other times of the same.
-    """
-    there = elsewhere(model, observation, apart=apart)
+def foretold(model: Model, observation: Observation) -> Foretold | None:
+    """Of other recordings than the model was fitted to; None where its simulation fails."""
+    there = elsewhere(model, observation, apart=True)
     if not np.isfinite(there.at.y[there.simulator.windows.valid]).all():
         return None
     changes = in_std(model.fit, there.at.J)
@@ -65,7 +62,8 @@ def foretold(model: Model, observation: Observation, *, apart: bool) -> Foretold
 def elsewhere(model: Model, observation: Observation, *, apart: bool) -> Fit:
     """The model at its own parameters and noise in other recordings.
 
-    What happened at a moment of those that it was fitted to did not happen in others, which are `apart`.
+    What happened at a moment of those that it was fitted to did not happen in others, which are `apart`, rather than
+    other times of the same.
     """
     fit, space = model.fit, model.fit.simulator.space
     theta = fit.theta

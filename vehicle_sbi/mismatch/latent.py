@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.laws import Law, Target, law_slopes, targets
+from vehicle_sbi.mismatch.laws import Target, targets
 from vehicle_sbi.mismatch.linear import Linearised, gained, profile
-from vehicle_sbi.mismatch.locate import Stretch, bump, clock, own_time, spoken, stretches
+from vehicle_sbi.mismatch.locate import Stretch, own_time, spoken, stretches
+from vehicle_sbi.mismatch.loose import in_stretches
 
 LEAST_GAIN = 3.0  # log likelihood a number below which nothing is said
 
@@ -47,22 +48,19 @@ class Latent:
 
 def latents(fit: Fit) -> list[Latent]:
     """Each force and each error as it would have to be, the likeliest first."""
-    simulator, spans = fit.simulator, stretches(fit.simulator)
-    t, acting = clock(simulator), targets(simulator, fit.at.y)
-    courses = [bump(t, *span).reshape(simulator.windows.t.shape) for span in spans]
-    given = [Law(target, f"stretch {k}", course) for target in acting for k, course in enumerate(courses)]
-    slopes = law_slopes(simulator, fit.theta, fit.at.y, given).reshape(len(acting), len(spans), *fit.at.y.shape)
-    found = [_fitted(fit, target, rows, spans) for target, rows in zip(acting, slopes, strict=True)]
+    about, acting = Linearised.of(fit), targets(fit.simulator, fit.at.y)
+    spans, slopes = stretches(fit.simulator), in_stretches(fit, acting)
+    found = [_fitted(about, target, rows, spans) for target, rows in zip(acting, slopes, strict=True)]
     return sorted(found, key=lambda one: -one.gain)
 
 
 def _fitted(
-    fit: Fit, target: Target, rows: Float[np.ndarray, "q channels time"], spans: list[tuple[float, float]]
+    about: Linearised, target: Target, rows: Float[np.ndarray, "q channels time"], spans: list[tuple[float, float]]
 ) -> Latent:
-    about, free = Linearised.of(fit), np.full((1, len(rows)), np.inf)
+    free = np.full((1, len(rows)), np.inf)
     size = profile(about, rows[None], -free, free).size[0]
     starts, stops = zip(*spans, strict=True)
-    within = own_time(fit.simulator, *spans[int(np.argmax(np.abs(size)))])
+    within = own_time(about.fit.simulator, *spans[int(np.argmax(np.abs(size)))])
     return Latent(target.name, target.size.unit, [*starts], [*stops], size.tolist(), gained(about, rows), within)
 
 

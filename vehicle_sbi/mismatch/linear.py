@@ -101,6 +101,12 @@ class Linearised:
         """Of that with the residual."""
         return self.products(self.moving, self.residual)
 
+    @cached_property
+    def alone(self) -> float:
+        """Log likelihood without any direction, under the noise that is then left over, as `profile` has it."""
+        nothing = np.zeros((1, 0))
+        return float(profile(self, np.zeros((1, 0, *self.fit.at.y.shape)), nothing, nothing).log_likelihood[0])
+
     def _neighbours(self) -> Iterator[tuple[int, slice, slice]]:
         """Channels, samples and those before them, run by run."""
         for c, runs in enumerate(self.runs):
@@ -265,16 +271,14 @@ def profile(
 def gained(about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> float:
     """Log likelihood that directions of any size gain together, each under the noise that is then left over."""
     free = np.full((1, len(changes)), np.inf)
-    none = profile(about, changes[None, :0], free[:, :0], free[:, :0]).log_likelihood[0]
-    return max(float(profile(about, changes[None], -free, free).log_likelihood[0] - none), 0.0)
+    return max(float(profile(about, changes[None], -free, free).log_likelihood[0] - about.alone), 0.0)
 
 
 def gained_at_random(about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> float:
     """Log evidence that directions gain together whose sizes are independent and standard normal."""
     free = np.full((1, len(changes)), np.inf)
-    none = profile(about, changes[None, :0], free[:, :0], free[:, :0]).log_likelihood[0]
     found = profile(about, changes[None], -free, free, precision=1.0)
-    return float(found.log_likelihood[0] - none - 0.5 * np.linalg.slogdet(found.information[0])[1])
+    return float(found.log_likelihood[0] - about.alone - 0.5 * np.linalg.slogdet(found.information[0])[1])
 
 
 def kinds(rho: np.ndarray) -> np.ndarray:

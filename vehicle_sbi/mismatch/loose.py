@@ -117,12 +117,17 @@ def courses(about: Linearised) -> Iterator[Course]:
 
 def deviations(fit: Fit, acting: list[Target]) -> Float[np.ndarray, "targets q channels time"]:
     """What targets do to the series that are off in single stretches of time, about their mean."""
+    slopes = in_stretches(fit, acting)
+    contrasts = dct(np.eye(slopes.shape[1]), norm="ortho", axis=0)[1:]
+    return np.moveaxis(np.tensordot(contrasts, slopes, axes=(1, 1)), 0, 1)
+
+
+def in_stretches(fit: Fit, acting: list[Target]) -> Float[np.ndarray, "targets stretches channels time"]:
+    """What a target of size 1 does to the series in each stretch of time."""
     simulator, t = fit.simulator, clock(fit.simulator)
     bumps = [bump(t, *span).reshape(simulator.windows.t.shape) for span in stretches(simulator)]
     given = [Law(target, f"stretch {k}", course) for target in acting for k, course in enumerate(bumps)]
-    slopes = law_slopes(simulator, fit.theta, fit.at.y, given).reshape(len(acting), len(bumps), *fit.at.y.shape)
-    contrasts = dct(np.eye(len(bumps)), norm="ortho", axis=0)[1:]
-    return np.moveaxis(np.tensordot(contrasts, slopes, axes=(1, 1)), 0, 1)
+    return law_slopes(simulator, fit.theta, fit.at.y, given).reshape(len(acting), len(bumps), *fit.at.y.shape)
 
 
 def staircases(about: Linearised) -> Iterator[Steps]:

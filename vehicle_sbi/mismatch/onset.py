@@ -73,12 +73,10 @@ def onsets(about: Linearised) -> Iterator[Onset]:
 
 def at(about: Linearised, target: Target, starts: Float[np.ndarray, " n"]) -> Tried:
     """A target at moments of which each is as likely beforehand; log evidence includes that."""
-    nothing = np.zeros((1, 0))
-    none = profile(about, np.zeros((1, 0, *about.fit.at.y.shape)), nothing, nothing).log_likelihood[0]
     low, high = (np.full((len(starts), 1), end) for end in (target.size.low, target.size.high))
     found = profile(about, changes(about.fit, target, starts)[:, None], low, high)
     information = np.maximum(found.information[:, 0, 0], LEAST_VARIANCE)
-    gain = np.maximum(found.log_likelihood - none, 0.0)
+    gain = np.maximum(found.log_likelihood - about.alone, 0.0)
     evidence = uniform_evidence(gain, found.size[:, 0], information, low[:, 0], high[:, 0])
     return Tried(starts, found.size[:, 0], information, evidence - np.log(len(starts)))
 

@@ -66,13 +66,12 @@ def likeliest(about: Linearised, target: Target) -> Stiction | None:
     fit, tried = about.fit, thresholds(about.fit.simulator)
     if not len(tried):
         return None
-    none = profile(about, np.zeros((1, 0, *fit.at.y.shape)), np.zeros((1, 0)), np.zeros((1, 0))).log_likelihood[0]
     found = []
     for some in np.array_split(tried, -(-tried.size * fit.at.y.size // int(CHUNK))):
         changes = effect(fit, target, errors(fit.simulator, some))[:, None]
         low, high = np.zeros((len(some), 1)), np.full((len(some), 1), LARGEST)
         best = profile(about, changes, low, high)
-        found += zip(some, best.size[:, 0], best.log_likelihood - none, strict=True)
+        found += zip(some, best.size[:, 0], best.log_likelihood - about.alone, strict=True)
     threshold, size, gain = max(found, key=lambda one: one[2])
     return Stiction(float(threshold), float(size), float(np.sqrt(2.0 * max(gain, 0.0))), len(tried))
 

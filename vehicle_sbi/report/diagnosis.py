@@ -11,7 +11,7 @@ import pandas as pd
 from tqdm import tqdm
 
 from vehicle_sbi.files import write_atomically, write_text
-from vehicle_sbi.mismatch.answer import Verdict, quantity
+from vehicle_sbi.mismatch.answer import Verdict, listed, quantity
 from vehicle_sbi.mismatch.candidates import Direction, left_out
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.explain import explain
@@ -89,7 +89,7 @@ def explained(
 ) -> Explanation:
     """What is missing, from the recordings that are fitted and those that help to name."""
     found = explain(base, known, rng=rng, belief=case.belief, tried=tried)
-    return found if case.naming is None else found.foretelling(case.naming, apart=case.apart)
+    return found if case.naming is None else found.foretelling(case.naming)
 
 
 def proved(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gain | None]:
@@ -163,7 +163,7 @@ def _paragraphs(lines: Sequence[str]) -> str:
 def _explanations(answer: Verdict) -> pd.DataFrame:
     rows = [
         {
-            "explanation": " with ".join(one.effects),
+            "explanation": listed(one.effects),
             "probability": f"{one.probability:.3f}",
             "with something unknown": f"{one.beside_unknown:.3f}",
             "held out": "" if one.foretold is None else f"{one.foretold:+.1f}",
