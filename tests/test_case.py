@@ -283,8 +283,11 @@ def test_a_stated_noise_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_block_in_which_the_car_stands_holds_nothing_out_but_the_others_do(tmp_path: Path) -> None:
+    # Of ten seconds those from 2.5 to 5 are held out.
     parked = pd.read_csv(written(tmp_path / "parked.csv", 0))
-    parked.loc[parked["time_s"] > 5.0, "v_x_mps"] = 0.0
+    parked.loc[parked["time_s"].between(2.3, 5.2), "v_x_mps"] = 0.0
     parked.to_csv(tmp_path / "parked.csv", index=False)
     case = diagnosis([tmp_path / "parked.csv", written(tmp_path / "b.csv", 1)], window_s=2.0)
-    assert set(case.prepare().held_out.simulator.windows.recordings) <= {"parked", "b"}
+    prepared = case.prepare()
+    assert set(prepared.observation.simulator.windows.recordings) == {"parked", "b"}
+    assert set(prepared.held_out.simulator.windows.recordings) == {"b"}

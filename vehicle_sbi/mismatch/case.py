@@ -177,7 +177,7 @@ class Diagnosis(Setup):
         simulator = replace(simulator, process=NO_DRAWS)
         if like is not None:
             simulator = replace(simulator, substeps=max(simulator.substeps, like.simulator.substeps))
-        return Observation(simulator, np.where(windows.valid, windows.y, 0.0), isinstance(self.noise, EstimatedNoise))
+        return Observation(simulator, np.where(windows.valid, windows.y, 0.0), estimated=True)
 
 
 def _shares(part: Read) -> list[float]:
