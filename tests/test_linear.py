@@ -7,8 +7,8 @@ from recorded import TRUTH, fitted, lateral, recorded
 from scipy.optimize import lsq_linear
 
 from vehicle_sbi.mismatch.candidates import directions, slopes
-from vehicle_sbi.mismatch.fit import best
 from vehicle_sbi.mismatch.linear import Linearised, _bounded, profile
+from vehicle_sbi.mismatch.search import best
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 

@@ -15,8 +15,9 @@ from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.candidates import Direction, within
 from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model, Version, examine, glance, versions
 from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.fit import NEAR_STEPS, Fit, descend, likeliest, settled
+from vehicle_sbi.mismatch.fit import NEAR_STEPS, Fit, descend, settled
 from vehicle_sbi.mismatch.repertoire import Repertoire
+from vehicle_sbi.mismatch.search import likeliest
 from vehicle_sbi.mismatch.unnamed import HOPELESS, beside
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE

@@ -16,11 +16,12 @@ from vehicle_sbi.mismatch.candidates import Direction, left_out
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.fit import Fit, best
+from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.gate import through
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
 from vehicle_sbi.mismatch.locate import spoken
 from vehicle_sbi.mismatch.sampled import sized
+from vehicle_sbi.mismatch.search import best
 from vehicle_sbi.mismatch.separability import Card, card
 from vehicle_sbi.mismatch.verdict import chosen, verdict
 from vehicle_sbi.report.card import LEGEND, could_show, hidden
