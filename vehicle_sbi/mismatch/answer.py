@@ -70,8 +70,8 @@ class Named:
 @dataclass(frozen=True)
 class Followed:
     """A law outside the catalogue: a target that follows a signal of the drive, its size where the signal has its root
-    mean square, the effects that it stands beside, how probable it is, and when in which recording it acts, if it sets
-    in at a moment."""
+    mean square, the effects that it stands beside, how probable it is, and, if it sets in at a moment, when in which
+    recording it acts and how uncertain [s] that moment is."""
 
     target: str
     signal: str
@@ -79,6 +79,7 @@ class Followed:
     effects: tuple[str, ...]
     probability: float
     acts: list[Stretch]
+    start_std: float | None
 
     @property
     def sentence(self) -> str:
@@ -87,7 +88,7 @@ class Followed:
         size = quantity("", self.size).removeprefix(" = ")
         law = f"{self.target} that follows {self.signal}, {size} at its root mean square"
         if self.acts:
-            law = f"{self.target} that {self.signal}, {size} {spoken(self.acts)}"
+            law = f"{self.target} that {self.signal}, {size} {spoken(self.acts)} (it begins ± {self.start_std:.2g} s)"
         return f"The likeliest law outside the catalogue{beside}: {law}."
 
 

@@ -65,7 +65,8 @@ def onsets(about: Linearised) -> Iterator[Onset]:
         gain = float(np.logaddexp.reduce(tried.evidence))
         weight, k = np.exp(tried.evidence - gain), int(np.argmax(tried.evidence))
         start, size = float(tried.starts[k]), float(tried.size[k])
-        start_std = float(np.sqrt(weight @ (tried.starts - weight @ tried.starts) ** 2))
+        spread = weight @ (tried.starts - weight @ tried.starts) ** 2
+        start_std = float(np.sqrt(spread + _spacing(fit.simulator) ** 2 / 12.0))  # it may lie between two of them
         std = float(tried.information[k] ** -0.5)
         within = own_time(fit.simulator, start, np.inf)
         yield Onset(target, start, start_std, size, min(std, target.size.high), gain, len(acting), within)
@@ -83,8 +84,8 @@ def at(about: Linearised, target: Target, starts: Float[np.ndarray, " n"]) -> Tr
 
 def refined(about: Linearised, target: Target, coarse: Tried) -> Tried:
     """With the likeliest moment replaced by several, which share the time that it stands for."""
-    k, spacing = int(np.argmax(coarse.evidence)), 0.5 * tile(about.fit.simulator)
-    fine = at(about, target, coarse.starts[k] + spacing * ((np.arange(FINER) + 0.5) / FINER - 0.5))
+    k, spacing = int(np.argmax(coarse.evidence)), _spacing(about.fit.simulator)
+    fine = at(about, target, coarse.starts[k] + spacing * (np.arange(FINER) - 0.5 * (FINER - 1)))
     pairs = [
         (coarse.starts, fine.starts),
         (coarse.size, fine.size),
@@ -92,6 +93,11 @@ def refined(about: Linearised, target: Target, coarse: Tried) -> Tried:
         (coarse.evidence, fine.evidence - np.log(len(coarse.starts))),
     ]
     return Tried(*(np.concatenate([np.delete(a, k), b]) for a, b in pairs))
+
+
+def _spacing(simulator: Simulator) -> float:
+    """Of the moments [s] that are tried about the likeliest."""
+    return 0.5 * tile(simulator) / FINER
 
 
 def moments(simulator: Simulator) -> Float[np.ndarray, " n"]:

@@ -177,8 +177,9 @@ def _unknown(explanation: Explanation) -> Unknown:
         elif model.outside is not None:
             name, signal = model.outside.target.name, model.outside.signal
             size = _size(model, model.outside, explanation.temper)
-            acts = model.outside.within if isinstance(model.outside, Onset) else []
-            laws.append(Followed(name, signal, size, model.effects, probability, acts))
+            onset = model.outside if isinstance(model.outside, Onset) else None
+            acts, start_std = (onset.within, onset.start_std) if onset else ([], None)
+            laws.append(Followed(name, signal, size, model.effects, probability, acts, start_std))
     beside, takes = next(iter(explanation.beside_unknown)), what_it_takes(explanation.best.model.fit)
     return Unknown(beside, laws, outgrown, takes)
 
