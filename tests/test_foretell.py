@@ -140,6 +140,18 @@ def test_what_the_catalogue_does_not_have_is_in_the_order_that_is_foretold(alike
     assert [model.told for model, _ in told.laws] == [5.0, 0.0, -5.0]
 
 
+def test_where_something_unknown_is_likelier_than_known_sets_the_one_leads_that_it_stands_beside(
+    alike: Explanation,
+) -> None:
+    one = alike.models[0]
+    pair = replace(one, effects=("gust", "payload"), told=40.0)  # makes up for the reluctance against pairs
+    for gain, leading in ((0.0, pair), (200.0, one)):
+        found = replace(alike, models=[one, pair], unnamed=[replace(one, told=gain)]).in_order()
+        assert found.all_known is (leading is pair)
+        assert found.probability[found.models.index(pair)] > found.probability[found.models.index(one)]
+        assert found.models[0] is leading
+
+
 def test_halves_share_no_sample_and_lose_none() -> None:
     held = recorded(lateral())
     whole = held.simulator.windows.valid

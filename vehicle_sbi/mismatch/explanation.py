@@ -68,11 +68,12 @@ class Explanation:
         ).in_order()
 
     def in_order(self) -> "Explanation":
-        """Sets by how probable they are; those that are hardly so alone by how probable beside something unknown; and
-        what the catalogue does not have."""
+        """Sets by how probable they are alone, and only if something unknown is likelier than all of them, or they are
+        alike in that, by how probable alone or beside something unknown; and what the catalogue does not have."""
+        alone = 1.0 if self.all_known else 0.0
         ranked = sorted(
             zip(self.models, self.probability, self.standing, strict=True),
-            key=lambda one: (-round(one[1], TOLD_APART), -one[2]),
+            key=lambda one: (-alone * round(one[1], TOLD_APART), -one[2]),
         )
         unnamed = sorted(self.laws, key=lambda one: -one[1])
         return replace(self, models=[model for model, _, _ in ranked], unnamed=[model for model, _ in unnamed])
@@ -162,6 +163,11 @@ class Explanation:
     def p_unknown(self) -> float:
         """That something is missing which no set of known effects explains."""
         return min(float(sum(self.beside_unknown.values())), 1.0)
+
+    @property
+    def all_known(self) -> bool:
+        """Whether sets of known effects alone are together as probable as that something unknown is missing."""
+        return self.p_unknown <= sum(self.probability)
 
     @property
     def p_value(self) -> float:
