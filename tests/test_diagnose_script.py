@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 
 import pandas as pd
@@ -135,6 +136,13 @@ def test_what_the_recordings_could_have_shown_is_in_the_verdict_and_on_the_page(
     assert "Without any effect here: drive_gain" in page
     assert "absorbed by" in page
     assert "Not told apart: " in page
+
+
+def test_the_page_answers_as_the_screen_does(run: Path) -> None:
+    verdict, page = json.loads((run / "verdict.json").read_text()), (run / "report.html").read_text()
+    assert verdict["separating_experiment"]
+    for said in (verdict["sentence"], verdict["separating_experiment"]):
+        assert f"<p>{escape(said)}</p>" in page
 
 
 def test_why_the_fit_may_not_be_relied_on_is_printed_first(run: Path, tmp_path: Path) -> None:

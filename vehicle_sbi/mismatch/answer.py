@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
-import numpy as np
-
 from vehicle_sbi.mismatch.candidates import SPAN
 from vehicle_sbi.mismatch.latent import Latent
 from vehicle_sbi.mismatch.locate import Stretch, spoken
+from vehicle_sbi.rounding import mean_and_std
 
 
 @dataclass(frozen=True)
@@ -184,8 +183,7 @@ class Verdict:
 
 def quantity(name: str, e: Estimate) -> str:
     """`body_roll.gradient = 0.0081 ± 0.0004 rad/(m/s^2)`."""
-    digits = max(0, -int(np.floor(np.log10(max(e.std, 1e-12))))) if e.std < 10 else 0
-    return f"{name} = {e.mean:.{min(digits, 9)}f} ± {e.std:.{min(digits, 9)}f} {e.unit}".removesuffix(" 1")
+    return f"{name} = {mean_and_std(e.mean, e.std)} {e.unit}".removesuffix(" 1")
 
 
 def listed(effects: Sequence[str]) -> str:

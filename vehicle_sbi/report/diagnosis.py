@@ -144,7 +144,7 @@ def write_report(
         path / "report.html",
         title=f"Diagnosis of {case.name}",
         sections={
-            "Answer": _paragraphs([answer.sentence]),
+            "Answer": _paragraphs([line for line in (answer.sentence, answer.separating_experiment) if line]),
             "Explanations": in_section(html(_explanations(answer)) + _of_held_out(answer)),
             "Where": in_section(html(_places(answer))) if answer.mismatch else "<p>Nowhere beyond noise.</p>",
             "Held out": in_section(html(_scores(answer))),
@@ -177,7 +177,8 @@ def _explanations(answer: Verdict) -> pd.DataFrame:
         {"explanation": "none", "probability": f"{answer.p_none:.3f}"},
         {"explanation": "unknown", "probability": f"{answer.p_unknown:.3f}"},
     ]
-    return pd.DataFrame(rows).fillna("")
+    table = pd.DataFrame(rows).fillna("")
+    return table if table["held out"].any() else table.drop(columns="held out")
 
 
 def _of_held_out(answer: Verdict) -> str:

@@ -8,7 +8,8 @@ from vehicle_sbi.inference.information import best_fit, bound_std, confusable, f
 from vehicle_sbi.inference.study import Prepared
 from vehicle_sbi.mismatch.separability import card
 from vehicle_sbi.report.card import could_show, hidden
-from vehicle_sbi.report.tables import NOT_IDENTIFIED, rounded
+from vehicle_sbi.report.tables import NOT_IDENTIFIED
+from vehicle_sbi.rounding import rounded
 
 
 def point(prepared: Prepared) -> Float[np.ndarray, " d"]:

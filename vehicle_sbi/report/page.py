@@ -20,9 +20,11 @@ h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem; }
 .warnings p { margin: .2rem 0; }
 .table { overflow-x: auto; }
 table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; }
-th, td { padding: .35rem .8rem; text-align: right; border-bottom: 1px solid #e3e3e3; white-space: nowrap; }
+th, td { padding: .35rem .8rem; text-align: left; vertical-align: top; border-bottom: 1px solid #e3e3e3;
+         white-space: nowrap; }
+td:last-child { white-space: normal; }
+.number { text-align: right; }
 th { border-bottom: 2px solid #888; font-weight: 600; }
-th:first-child, td:first-child, th:nth-child(2), td:nth-child(2), th:last-child, td:last-child { text-align: left; }
 th:first-child, td:first-child { padding-left: 0; }
 th:last-child, td:last-child { padding-right: 0; }
 sup { font-size: .75em; line-height: 0; }

@@ -9,6 +9,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_text
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.report.run_folder import FinishedRun, is_finished, read
+from vehicle_sbi.rounding import mean_and_std, rounded
 
 COLUMNS = (
     "parameter", "unit", "prior_low", "prior_high", "true", "mean", "std", "q05", "q50", "q95",
@@ -86,18 +88,6 @@ def nominal_table(
     return pd.DataFrame(rows, columns=["quantity", "unit", "nominal", "noise_percent"])
 
 
-def rounded(value: float, std: float) -> str:
-    """`value` to the decimal place of the second significant digit of `std`; no uncertainty: three digits."""
-    if np.isnan(value):
-        return ""
-    if np.isinf(value):
-        return "∞" if value > 0 else "-∞"
-    if not 0.0 < std < np.inf:
-        return f"{value:.3g}"
-    places = 1 - int(f"{std:.1e}".partition("e")[2])
-    return f"{round(value, places) + 0.0:.{max(places, 0)}f}"
-
-
 def symbol(name: str) -> str:
     r"""A parameter as mathematics where its name is a symbol (C_alpha_f: $C_{\alpha f}$), else in words.
 
@@ -147,11 +137,6 @@ def for_people(table: pd.DataFrame) -> pd.DataFrame:
     return people.drop(columns="true") if table["true"].isna().all() else people
 
 
-def mean_and_std(mean: float, std: float) -> str:
-    """`mean ± std`, both to the second significant digit of std."""
-    return "" if np.isnan(mean) else f"{rounded(mean, std)} ± {rounded(std, std)}"
-
-
 def _contraction(value: float) -> str:
     """Two digits, but never a 1.00 that would claim a posterior without width."""
     return "> 0.99" if 0.995 <= value < 1.0 else f"{value + 0.0:.2f}".replace("-0.00", "0.00")
@@ -192,9 +177,19 @@ def markdown(frame: pd.DataFrame) -> str:
 
 
 def html(frame: pd.DataFrame) -> str:
-    """A frame of text as an HTML table: escaped, with minus signs, and with powers (1e5 N, m^2) raised."""
-    table = minus(frame.to_html(index=False, border=0, escape=True))
-    return re.sub(r"\^(-?\d+)", r"<sup>\1</sup>", re.sub(r"(?<=>)1e(\d+)", r"10<sup>\1</sup>", table))
+    """A frame of text as an HTML table: escaped, with minus signs, and with powers (1e5 N, m^2) raised; columns that
+    are mostly numbers have the class `number`."""
+    of_numbers = [bool(frame[column].astype(str).str.match(r"[+-]?\d").mean() > 0.5) for column in frame]
+    rows = [("th", [*frame.columns]), *(("td", row) for row in frame.astype(str).to_numpy().tolist())]
+    lines = ["".join(map(_cell, row, [tag] * len(row), of_numbers)) for tag, row in rows]
+    return "<table>\n" + "\n".join(f"<tr>{line}</tr>" for line in lines) + "\n</table>"
+
+
+def _cell(text: str, tag: str, number: bool) -> str:
+    """A cell of an HTML table, escaped, with minus signs and powers as such."""
+    raised = re.sub(r"^1e(\d+)", r"10^\1", minus(text))
+    shown = re.sub(r"\^(-?\d+)", r"<sup>\1</sup>", escape(raised))
+    return f'<{tag} class="number">{shown}</{tag}>' if number else f"<{tag}>{shown}</{tag}>"
 
 
 def nominal_for_people(nominal: pd.DataFrame) -> pd.DataFrame:
