@@ -90,6 +90,9 @@ def test_a_name_that_is_said_to_be_alike_is_worth_half_in_one_row_and_nothing_in
     )
     assert cell(table((bias, alike)), "top-1, given detected, half for what is said to be alike") == "0.50 of 1"
     assert cell(table((bias, alike)), "the same, nothing for what is alike") == "0.00 of 1"
+    strong = "top-1, SNR 8 and more, half for what is said to be alike"
+    assert cell(table((bias, alike)), strong) == "0.50 of 1"
+    assert strong not in set(summary.summary(table((bias, alike)).assign(snr=4.0))["metric"])
 
 
 def test_on_real_recordings_one_name_is_held_against_one_name_of_simpler_methods() -> None:
