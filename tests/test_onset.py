@@ -44,7 +44,7 @@ def test_its_moment_and_its_size_are_found(fit: Fit) -> None:
     found = of_moment(fit)
     assert max(onsets(Linearised.of(fit)), key=lambda one: one.gain).gain == found.gain
     spacing = 0.5 * tile(fit.simulator) / FINER
-    assert abs(found.start_s - SETS_IN) <= 4.0 * found.start_std
+    assert abs(found.start_s - SETS_IN) <= 3.0 * found.start_std
     assert spacing / np.sqrt(12.0) < found.start_std < tile(fit.simulator)
     late = spacing / (20.0 - SETS_IN)  # of its time, by which it may be smaller or larger
     assert found.size == pytest.approx(SIZE, abs=4.0 * found.std + late * SIZE)
