@@ -147,7 +147,7 @@ def test_where_something_unknown_is_likelier_than_known_sets_the_one_leads_that_
     pair = replace(one, effects=("gust", "payload"), told=40.0)  # makes up for the reluctance against pairs
     for gain, leading in ((0.0, pair), (200.0, one)):
         found = replace(alike, models=[one, pair], unnamed=[replace(one, told=gain)]).in_order()
-        assert found.all_known is (leading is pair)
+        assert found.known_leads is (leading is pair)
         assert found.probability[found.models.index(pair)] > found.probability[found.models.index(one)]
         assert found.models[0] is leading
 

@@ -21,7 +21,7 @@ import pandas as pd
 import yaml
 from tqdm import tqdm
 
-from concealed import baselines, cases, injected, oracle, scores, summary
+from concealed import baselines, cases, injected, observer, oracle, scores, summary
 from concealed.mix import MIXES
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.files import write_text
@@ -73,6 +73,7 @@ def work(
         oracle.write(case, folder / "sealed" / f"{index:04d}.json")
         if stages["baselines"]:
             baselines.write(case)
+            observer.write(case, folder / "sealed" / f"{index:04d}.json")
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         return f"case {index}: {error}"
     if stages["diagnose"]:

@@ -70,8 +70,20 @@ def candidates(simulator: Simulator, theta: np.ndarray) -> list[Direction]:
     return [direction for effect in free for direction in directions(simulator, theta, effect)]
 
 
-def slopes(simulator: Simulator, theta: np.ndarray, found: Sequence[Direction]) -> np.ndarray:
-    """Change of the series per unit of each direction's parameter (k, channels, time)."""
-    moved = _series(simulator, theta, [{**d.held, d.parameter: _off(d.parameter)} for d in found])
-    rested = _series(simulator, theta, [{**d.held, d.parameter: null(d.parameter)} for d in found])
-    return (moved - rested) / np.array([_off(d.parameter) - null(d.parameter) for d in found])[:, None, None]
+def slopes(
+    simulator: Simulator, theta: np.ndarray, found: Sequence[Direction], ends: Mapping[Parameter, float] | None = None
+) -> np.ndarray:
+    """Change of the series per unit of each direction's parameter (k, channels, time), from a small step, or from one
+    that goes to the parameter's value in `ends`."""
+    steps = [(ends or {}).get(d.parameter, _off(d.parameter)) for d in found]
+    shapes = [dict(shape) for shape in dict.fromkeys(frozenset(d.held.items()) for d in found)]
+    moved = _series(simulator, theta, [{**d.held, d.parameter: step} for d, step in zip(found, steps, strict=True)])
+    rested = _series(simulator, theta, shapes)[[shapes.index(dict(d.held)) for d in found]]
+    sizes = np.array([step - null(d.parameter) for d, step in zip(found, steps, strict=True)])
+    return (moved - rested) / sizes[:, None, None]
+
+
+def change(simulator: Simulator, theta: np.ndarray, effects: Mapping[Parameter, float]) -> np.ndarray:
+    """What effects change of the series (channels, time)."""
+    rested, moved = _series(simulator, theta, [{}, effects])
+    return moved - rested

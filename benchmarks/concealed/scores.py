@@ -256,6 +256,8 @@ def row(folder: Path, index: int) -> dict[str, Any]:
         out |= score(truth, json.loads(verdict.read_text()), oracle)
     elif run.exists():
         out |= unsaid(truth)
+    observer = folder / "sealed" / f"{name}.observer.json"
+    out["observer"] = json.loads(observer.read_text())["right"] if observer.exists() else None
     said = json.loads((case / "baselines.json").read_text()) if (case / "baselines.json").exists() else {}
     for method, names in said.items():
         out[f"{method}_answer"] = names[0] if names else "none"

@@ -103,6 +103,7 @@ METRICS = (
     *(Metric(f"detected at SNR {snr}", _at(snr), "detected") for snr in (16, 32)),
     Metric(f"top-1, given detected, {ALIKE}", _kind("single", detected=True), "top1", "0.90 L0, 0.80 L1"),
     Metric("the same, nothing for what is alike", _kind("single", detected=True), "correct"),
+    Metric("that of the observer (not L2)", _kind("single", detected=True), "observer"),
     Metric(f"top-1, SNR 8 and more, {ALIKE}", _from(8.0, "single", "snr"), "top1"),
     Metric(f"top-2, given detected, {ALIKE}", _kind("single", detected=True), "top2"),
     Metric("truth in the 90 % set", _kind("single", "pair", detected=True), "in_set", "0.90"),
@@ -111,7 +112,9 @@ METRICS = (
     Metric("called unknown, but a known effect named beside it", _kind("outside"), "named_beside"),
     Metric("unknown said, SNR 16 and more", lambda t: _kind("outside")(t) & (t["snr"] > 15), "said_unknown", "0.80"),
     Metric("both of a pair, given detected", _kind("pair", detected=True), "both", "0.80"),
+    Metric("that of the observer, of pairs", _kind("pair", detected=True), "observer"),
     Metric("both, the weaker at SNR 8 and more beyond the other", _from(8.0, "pair", "snr_beyond"), "both", "0.80"),
+    Metric("that of the observer, of these pairs", _from(8.0, "pair", "snr_beyond"), "observer"),
     Metric(f"the same, {ALIKE}", _from(8.0, "pair", "snr_beyond"), "top1"),
     Metric("at least half of a pair, given detected", _kind("pair", detected=True), "one_of_pair"),
     Metric("overlap (IoU) of a time-local effect", _kind("single", "outside", detected=True), "iou", "0.80"),
@@ -227,7 +230,9 @@ def report(table: pd.DataFrame, command: str, where: str, catalogue: int) -> str
         f"{len(table)} cases, {judged} of them diagnosed, {failed} without a verdict, which counts as wrong in every "
         f"row that asks of such a case; mean (90 % interval; cases). {weak} are not detectable in any drive that was "
         "tried (SNR below 4 after projection) and are scored apart. L0: truth from the project's own models; L1: a "
-        "twin and a multi-body car that the tool does not use; L2: real recordings with something injected.",
+        "twin and a multi-body car that the tool does not use; L2: real recordings with something injected. The "
+        "observer is told the noise, the base model, that one effect of the catalogue is missing (or two), how strong "
+        "effects are and when they act: it has only to name them.",
         markdown(summary(table)) if judged else "",
         BESIDE if alone else "",
         markdown(beside_baselines(table, catalogue)) if alone else "",

@@ -70,7 +70,7 @@ class Explanation:
     def in_order(self) -> "Explanation":
         """Sets by how probable they are alone, and only if something unknown is likelier than all of them, or they are
         alike in that, by how probable alone or beside something unknown; and what the catalogue does not have."""
-        alone = 1.0 if self.all_known else 0.0
+        alone = 1.0 if self.known_leads else 0.0
         ranked = sorted(
             zip(self.models, self.probability, self.standing, strict=True),
             key=lambda one: (-alone * round(one[1], TOLD_APART), -one[2]),
@@ -165,7 +165,7 @@ class Explanation:
         return min(float(sum(self.beside_unknown.values())), 1.0)
 
     @property
-    def all_known(self) -> bool:
+    def known_leads(self) -> bool:
         """Whether sets of known effects alone are together as probable as that something unknown is missing."""
         return self.p_unknown <= sum(self.probability)
 

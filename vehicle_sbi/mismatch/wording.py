@@ -80,7 +80,7 @@ def _answer(explanation: Explanation, found: Sequence[Named], unknown: Unknown |
     likeliest = max(best.probability, explanation.p_unknown)
     if explanation.p_none > likeliest:
         said = f"{nothing}; else {named} {verb} it best, with {best.probability:.2f}"
-    elif explanation.all_known:
+    elif explanation.known_leads:
         said = f"{named} {verb} {f'{share} of ' if share else ''}it with probability {best.probability:.2f}"
     elif unknown is not None and not unknown.effects:
         nearest = f"of known effects {named} {verb} it best, with {best.probability:.2f}"

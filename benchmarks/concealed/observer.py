@@ -1,0 +1,145 @@
+"""How often one names what is missing who knows all that the tool has to find out: a bound on any name's accuracy.
+
+This observer knows the noise, that one effect of the catalogue is missing (or two), how strongly the benchmark conceals
+effects, and when and where the true one acts. At first order what fitting leaves of the recording is then
+
+    r = a g_k + e,   e ~ N(0, 1),   a ~ N(0, 1) with |g_k| = TYPICAL
+
+for effect k, and the name with the largest evidence is right more often than any other. How often is drawn anew for
+each case, from what the true effect changes.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from concealed.baselines import given
+from concealed.responses import Direction, change, directions, slopes
+from concealed.scores import SHAPES
+from concealed.strength import Noise, Projection
+from vehicle_sbi.data.readers import read
+from vehicle_sbi.files import write_text
+from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
+
+DRAWS = 400  # of the noise
+TYPICAL = 16.0  # signal-to-noise ratio of an effect, of those that are drawn from 4 to 32
+SAME = 1e-6  # of log evidence: sets that are one and the same share the first place
+STARTS, LENGTHS_S = 8, (1.5, 5.0)  # at which what begins and ends is looked for
+PLACES = (0.1, 0.5, 0.9)  # of the prior's width, at which any other parameter of an effect's shape is
+
+Shape = Sequence[Direction]
+
+
+def shapes(found: Shape, last: float) -> list[Shape]:
+    """Directions of one effect with what gives it its shape at several values each; `last` [s] is the latest time."""
+    held = found[0].held
+    shaping = [p for p in held if p.name in SHAPES]
+    grids = [_grid(p, last) for p in shaping]
+    at = [dict(held) | dict(zip(shaping, values, strict=True)) for values in product(*grids)]
+    return [[replace(d, held=one) for d in found] for one in at]
+
+
+def _grid(p: Parameter, last: float) -> Sequence[float]:
+    if p.name.endswith(".start"):
+        return [float(start) for start in np.linspace(0.0, last, STARTS)[:-1]]
+    if p.name.endswith(".duration"):
+        return LENGTHS_S
+    return [p.low + place * (p.high - p.low) for place in PLACES]
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects, each in one shape: their names, and the rows of all directions that are theirs."""
+
+    effects: frozenset[str]
+    rows: tuple[int, ...]
+
+
+def hypotheses(names: Sequence[str], rows: Sequence[tuple[int, ...]], count: int) -> list[Hypothesis]:
+    """Every set of `count` different effects among shapes that have these names and rows."""
+    sets = combinations(range(len(names)), count)
+    return [
+        Hypothesis(frozenset(names[i] for i in one), tuple(row for i in one for row in rows[i]))
+        for one in sets
+        if len({names[i] for i in one}) == count
+    ]
+
+
+def evidence(gram: np.ndarray, seen: np.ndarray, rows: Sequence[int]) -> np.ndarray:
+    """Log evidence (draws,) of directions of unit prior, over that of nothing: `gram` (K, K) their products with each
+    other, `seen` (draws, K) those with what was recorded."""
+    H = np.eye(len(rows)) + gram[np.ix_(rows, rows)]
+    b = seen[:, rows]
+    return 0.5 * np.einsum("di,id->d", b, np.linalg.solve(H, b.T)) - 0.5 * np.linalg.slogdet(H)[1]
+
+
+def share_right(gram: np.ndarray, meant: np.ndarray, asked: Sequence[Hypothesis], true: frozenset[str]) -> float:
+    """How often the true set has the largest evidence: `meant` (K,) is each direction's product with the true change.
+
+    A set's evidence is the mean over its shapes.
+    """
+    size, axes = np.linalg.eigh(gram)
+    root = axes * np.sqrt(np.clip(size, 0.0, None))
+    seen = meant + np.random.default_rng(0).standard_normal((DRAWS, len(gram))) @ root.T
+    found: dict[frozenset[str], list[np.ndarray]] = {}
+    for one in asked:
+        found.setdefault(one.effects, []).append(evidence(gram, seen, one.rows))
+    sets = list(found)
+    total = np.array([logsumexp(found[one], axis=0) - np.log(len(found[one])) for one in sets])
+    first = total > total.max(axis=0) - SAME
+    return float(np.mean(first[sets.index(true)] / first.sum(axis=0)))
+
+
+def right(case: Path, truth: Mapping[str, Any]) -> float:
+    """How often the observer names all that is concealed in a case's recordings."""
+    told, content = given(case)
+    simulator = told.simulator([read(case / name) for name in content["recordings"]], Noise(**truth["noise"]))
+    base = truth["base_parameters"] if truth["level"] == "L0" else truth["base_fit"]
+    theta = np.array([base[name] for name in simulator.space.names])
+    effects = {
+        EFFECT_PARAMETERS[f"{name}.{key}"]: float(value)
+        for name, one in truth["effects"].items()
+        for key, value in one["parameters"].items()
+    }
+    return share(simulator, theta, effects)
+
+
+def share(simulator: Simulator, theta: np.ndarray, truth: Mapping[Parameter, float]) -> float:
+    last = float(simulator.windows.t.max())
+    fitted = {name.split(".")[0] for name in simulator.space.names}
+    true = frozenset(p.name.split(".")[0] for p in truth)
+    asked: list[tuple[str, Shape]] = []
+    for effect in CATALOGUE.values():
+        found = directions(simulator, theta, effect) if effect.name not in fitted else []
+        if effect.name in true:
+            asked += [(effect.name, [replace(d, held={p: truth[p] for p in d.held}) for d in found])]
+        elif found:
+            asked += [(effect.name, shape) for shape in shapes(found, last)]
+    projection = Projection(simulator, theta)
+    ends = {p: value for p, value in truth.items() if value != p.null}
+    flat = [d for _, shape in asked for d in shape]
+    G = projection.left(slopes(simulator, theta, flat, ends))
+    size = np.linalg.norm(G, axis=1, keepdims=True)
+    G = TYPICAL * np.divide(G, size, where=size > 0.0, out=np.zeros_like(G))
+    d = projection.left(change(simulator, theta, truth)[None])[0]
+    edges = np.cumsum([0, *(len(shape) for _, shape in asked)])
+    rows = [tuple(range(low, high)) for low, high in pairwise(edges)]
+    names = [name for name, _ in asked]
+    return share_right(G @ G.T, G @ d, hypotheses(names, rows, len(true)), true)
+
+
+def write(case: Path, truth: Path) -> None:
+    """TRUTH's observer beside it, unless it stands already; none where an effect is unknown to the model, or in real
+    recordings, of which not all that is missing is known."""
+    sealed, path = json.loads(truth.read_text()), truth.with_suffix(".observer.json")
+    known = sealed["effects"] and all(one["inside"] for one in sealed["effects"].values())
+    if known and sealed["level"] != "L2" and not path.exists():
+        write_text(path, json.dumps({"right": right(case, sealed)}))
