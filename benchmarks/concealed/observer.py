@@ -1,12 +1,12 @@
 """How often one names what is missing who knows all that the tool has to find out: a bound on any name's accuracy.
 
 This observer knows the noise, that one effect of the catalogue is missing (or two), how strongly the benchmark conceals
-effects, and when and where the true one acts. At first order what fitting leaves of the recording is then
+effects, and when and where the true one acts. To it everything is of first order; what fitting leaves is then
 
     r = a g_k + e,   e ~ N(0, 1),   a ~ N(0, 1) with |g_k| = TYPICAL
 
 for effect k, and the name with the largest evidence is right more often than any other. How often is drawn anew for
-each case, from what the true effect changes.
+each case, of a true effect that is as large as it is there.
 """
 
 import json
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from concealed.baselines import given
-from concealed.responses import Direction, change, directions, slopes
+from concealed.responses import Direction, directions, null, slopes
 from concealed.scores import SHAPES
 from concealed.strength import Noise, Projection
 from vehicle_sbi.data.readers import read
@@ -98,10 +98,10 @@ def share_right(gram: np.ndarray, meant: np.ndarray, asked: Sequence[Hypothesis]
     return float(np.mean(first[sets.index(true)] / first.sum(axis=0)))
 
 
-def right(case: Path, truth: Mapping[str, Any]) -> float:
-    """How often the observer names all that is concealed in a case's recordings."""
-    told, content = given(case)
-    simulator = told.simulator([read(case / name) for name in content["recordings"]], Noise(**truth["noise"]))
+def right(case: Path, truth: Mapping[str, Any], files: Sequence[str]) -> float:
+    """How often the observer names all that is concealed in files of a case."""
+    told, _ = given(case)
+    simulator = told.simulator([read(case / name) for name in files], Noise(**truth["noise"]))
     base = truth["base_parameters"] if truth["level"] == "L0" else truth["base_fit"]
     theta = np.array([base[name] for name in simulator.space.names])
     effects = {
@@ -127,19 +127,26 @@ def share(simulator: Simulator, theta: np.ndarray, truth: Mapping[Parameter, flo
     ends = {p: value for p, value in truth.items() if value != p.null}
     flat = [d for _, shape in asked for d in shape]
     G = projection.left(slopes(simulator, theta, flat, ends))
-    size = np.linalg.norm(G, axis=1, keepdims=True)
-    G = TYPICAL * np.divide(G, size, where=size > 0.0, out=np.zeros_like(G))
-    d = projection.left(change(simulator, theta, truth)[None])[0]
+    sizes = [truth[d.parameter] - null(d.parameter) if d.effect in true else 0.0 for d in flat]
+    changed = np.array(sizes) @ G
+    norm = np.linalg.norm(G, axis=1, keepdims=True)
+    G = TYPICAL * np.divide(G, norm, where=norm > 0.0, out=np.zeros_like(G))
     edges = np.cumsum([0, *(len(shape) for _, shape in asked)])
     rows = [tuple(range(low, high)) for low, high in pairwise(edges)]
     names = [name for name, _ in asked]
-    return share_right(G @ G.T, G @ d, hypotheses(names, rows, len(true)), true)
+    return share_right(G @ G.T, G @ changed, hypotheses(names, rows, len(true)), true)
 
 
 def write(case: Path, truth: Path) -> None:
-    """TRUTH's observer beside it, unless it stands already; none where an effect is unknown to the model, or in real
-    recordings, of which not all that is missing is known."""
+    """TRUTH's observer beside it, unless it stands already: how often it is right from the recordings that are fitted,
+    and from those held out too. None where an effect is unknown to the model, or in real recordings, of which not all
+    that is missing is known."""
     sealed, path = json.loads(truth.read_text()), truth.with_suffix(".observer.json")
     known = sealed["effects"] and all(one["inside"] for one in sealed["effects"].values())
-    if known and sealed["level"] != "L2" and not path.exists():
-        write_text(path, json.dumps({"right": right(case, sealed)}))
+    if not known or sealed["level"] == "L2" or path.exists():
+        return
+    _, content = given(case)
+    fitted, further = content["recordings"], content["heldout"] if sealed["heldout_comparable"] else []
+    found = {"fitted": right(case, sealed, fitted)}
+    found["all"] = right(case, sealed, [*fitted, *further]) if further else found["fitted"]
+    write_text(path, json.dumps(found))

@@ -81,9 +81,3 @@ def slopes(
     rested = _series(simulator, theta, shapes)[[shapes.index(dict(d.held)) for d in found]]
     sizes = np.array([step - null(d.parameter) for d, step in zip(found, steps, strict=True)])
     return (moved - rested) / sizes[:, None, None]
-
-
-def change(simulator: Simulator, theta: np.ndarray, effects: Mapping[Parameter, float]) -> np.ndarray:
-    """What effects change of the series (channels, time)."""
-    rested, moved = _series(simulator, theta, [{}, effects])
-    return moved - rested

@@ -257,7 +257,8 @@ def row(folder: Path, index: int) -> dict[str, Any]:
     elif run.exists():
         out |= unsaid(truth)
     observer = folder / "sealed" / f"{name}.observer.json"
-    out["observer"] = json.loads(observer.read_text())["right"] if observer.exists() else None
+    named = json.loads(observer.read_text()) if observer.exists() else {}
+    out |= {f"observer_{data}": named.get(data) for data in ("fitted", "all")}
     said = json.loads((case / "baselines.json").read_text()) if (case / "baselines.json").exists() else {}
     for method, names in said.items():
         out[f"{method}_answer"] = names[0] if names else "none"
