@@ -1,7 +1,8 @@
 """How often one names what is missing who knows all that the tool has to find out: a bound on any name's accuracy.
 
 This observer knows the noise, that one effect of the catalogue is missing (or two), how strongly the benchmark conceals
-effects, and when and where the true one acts. To it everything is of first order; what fitting leaves is then
+effects, and when and where the true one acts. To it every effect only grows with its size, from what it does where it
+changes as much as the truth; what fitting leaves is then
 
     r = a g_k + e,   e ~ N(0, 1),   a ~ N(0, 1) with |g_k| = TYPICAL
 
@@ -10,6 +11,7 @@ each case, of a true effect that is as large as it is there.
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise, product
@@ -20,7 +22,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from concealed.baselines import given
-from concealed.responses import Direction, directions, null, slopes
+from concealed.responses import Direction, directions, far_end, null, off, slopes
 from concealed.scores import SHAPES
 from concealed.strength import Noise, Projection
 from vehicle_sbi.data.readers import read
@@ -113,9 +115,36 @@ def right(case: Path, truth: Mapping[str, Any], files: Sequence[str]) -> float:
 
 
 def share(simulator: Simulator, theta: np.ndarray, truth: Mapping[Parameter, float]) -> float:
-    last = float(simulator.windows.t.max())
-    fitted = {name.split(".")[0] for name in simulator.space.names}
+    """The same of effects as they are in `truth`, all parameters of each."""
     true = frozenset(p.name.split(".")[0] for p in truth)
+    asked = _asked(simulator, theta, truth)
+    flat = [d for _, shape in asked for d in shape]
+    here = np.array([d.effect in true for d in flat])
+    projection = Projection(simulator, theta)
+
+    def left(ends: Sequence[float]) -> np.ndarray:
+        return projection.left(slopes(simulator, theta, flat, ends))
+
+    ends = [truth[d.parameter] if d.effect in true else off(d.parameter) for d in flat]
+    ends = [off(d.parameter) if end == null(d.parameter) else end for d, end in zip(flat, ends, strict=True)]
+    G = left(ends)
+    sizes = np.array([truth[d.parameter] - null(d.parameter) if d.effect in true else 0.0 for d in flat])
+    changed = sizes @ G
+    alike = [_as_large(d.parameter, g, changed) for d, g in zip(flat, G, strict=True)]
+    G[~here] = left([end if own else other for own, end, other in zip(here, ends, alike, strict=True)])[~here]
+    norm = np.linalg.norm(G, axis=1, keepdims=True)
+    G = TYPICAL * np.divide(G, norm, where=norm > 0.0, out=np.zeros_like(G))
+    edges = np.cumsum([0, *(len(shape) for _, shape in asked)])
+    rows = [tuple(range(low, high)) for low, high in pairwise(edges)]
+    names = [name for name, _ in asked]
+    return share_right(G @ G.T, G @ changed, hypotheses(names, rows, len(true)), true)
+
+
+def _asked(simulator: Simulator, theta: np.ndarray, truth: Mapping[Parameter, float]) -> list[tuple[str, Shape]]:
+    """Every effect that acts and is not fitted, in each of its shapes; the true ones in their own alone."""
+    last = float(simulator.windows.t.max())
+    true = {p.name.split(".")[0] for p in truth}
+    fitted = {name.split(".")[0] for name in simulator.space.names}
     asked: list[tuple[str, Shape]] = []
     for effect in CATALOGUE.values():
         found = directions(simulator, theta, effect) if effect.name not in fitted else []
@@ -123,18 +152,17 @@ def share(simulator: Simulator, theta: np.ndarray, truth: Mapping[Parameter, flo
             asked += [(effect.name, [replace(d, held={p: truth[p] for p in d.held}) for d in found])]
         elif found:
             asked += [(effect.name, shape) for shape in shapes(found, last)]
-    projection = Projection(simulator, theta)
-    ends = {p: value for p, value in truth.items() if value != p.null}
-    flat = [d for _, shape in asked for d in shape]
-    G = projection.left(slopes(simulator, theta, flat, ends))
-    sizes = [truth[d.parameter] - null(d.parameter) if d.effect in true else 0.0 for d in flat]
-    changed = np.array(sizes) @ G
-    norm = np.linalg.norm(G, axis=1, keepdims=True)
-    G = TYPICAL * np.divide(G, norm, where=norm > 0.0, out=np.zeros_like(G))
-    edges = np.cumsum([0, *(len(shape) for _, shape in asked)])
-    rows = [tuple(range(low, high)) for low, high in pairwise(edges)]
-    names = [name for name, _ in asked]
-    return share_right(G @ G.T, G @ changed, hypotheses(names, rows, len(true)), true)
+    return asked
+
+
+def _as_large(p: Parameter, g: np.ndarray, changed: np.ndarray) -> float:
+    """The value of a parameter at which it changes as much as was changed, in its box, on the side that looks alike."""
+    far, norm = far_end(p), float(np.linalg.norm(g))
+    if norm == 0.0:
+        return far
+    size = math.copysign(float(np.linalg.norm(changed)) / norm, float(g @ changed))
+    value = float(np.clip(null(p) + size, p.low, p.high))
+    return value if abs(value - null(p)) > 1e-3 * (p.high - p.low) else off(p)
 
 
 def write(case: Path, truth: Path) -> None:

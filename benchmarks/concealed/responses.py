@@ -36,7 +36,8 @@ def far_end(p: Parameter) -> float:
     return p.high if p.high - null(p) >= null(p) - p.low else p.low
 
 
-def _off(p: Parameter) -> float:
+def off(p: Parameter) -> float:
+    """A small step off the null."""
     return null(p) + STEP * (p.high - p.low) * (1.0 if far_end(p) > null(p) else -1.0)
 
 
@@ -50,14 +51,14 @@ def _series(simulator: Simulator, theta: np.ndarray, points: Sequence[Mapping[Pa
 def directions(simulator: Simulator, theta: np.ndarray, effect: Effect) -> list[Direction]:
     """Along which parameters an effect acts in this drive; the first that acts at all if none does by itself."""
     middle = {p: 0.5 * (null(p) + far_end(p)) for p in effect.parameters}
-    y = _series(simulator, theta, [{}, *({p: end(p)} for end in (_off, far_end) for p in effect.parameters)])
+    y = _series(simulator, theta, [{}, *({p: end(p)} for end in (off, far_end) for p in effect.parameters)])
     moved = np.nanmax(abs(y[1:] - y[0]), axis=(1, 2), initial=0.0).reshape(2, -1).any(axis=0)
     acts = [p for p, moves in zip(effect.parameters, moved, strict=True) if moves]
     if acts:
         return [Direction(p, {q: middle[q] for q in effect.parameters if q not in acts}) for p in acts]
     for p in effect.parameters:
         shape = {q: value for q, value in middle.items() if q is not p}
-        rested, *acting = _series(simulator, theta, [shape, shape | {p: _off(p)}, shape | {p: far_end(p)}])
+        rested, *acting = _series(simulator, theta, [shape, shape | {p: off(p)}, shape | {p: far_end(p)}])
         if np.array_equal(rested, y[0]) and any(not np.array_equal(one, y[0], equal_nan=True) for one in acting):
             return [Direction(p, shape)]
     return []
@@ -71,11 +72,11 @@ def candidates(simulator: Simulator, theta: np.ndarray) -> list[Direction]:
 
 
 def slopes(
-    simulator: Simulator, theta: np.ndarray, found: Sequence[Direction], ends: Mapping[Parameter, float] | None = None
+    simulator: Simulator, theta: np.ndarray, found: Sequence[Direction], ends: Sequence[float] | None = None
 ) -> np.ndarray:
-    """Change of the series per unit of each direction's parameter (k, channels, time), from a small step, or from one
-    that goes to the parameter's value in `ends`."""
-    steps = [(ends or {}).get(d.parameter, _off(d.parameter)) for d in found]
+    """Change of the series per unit of each direction's parameter (k, channels, time), from a small step off its null,
+    or from one that goes to a value in `ends`."""
+    steps = [off(d.parameter) for d in found] if ends is None else ends
     shapes = [dict(shape) for shape in dict.fromkeys(frozenset(d.held.items()) for d in found)]
     moved = _series(simulator, theta, [{**d.held, d.parameter: step} for d, step in zip(found, steps, strict=True)])
     rested = _series(simulator, theta, shapes)[[shapes.index(dict(d.held)) for d in found]]
