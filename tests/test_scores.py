@@ -31,6 +31,7 @@ def table(*scored: tuple[dict, dict]) -> pd.DataFrame:
         {
             "level": one["level"], "kind": one["kind"], "effects": " + ".join(one["effects"]), "snr": 8.0,
             "snr_beyond": 8.0, "detectable": True, "seconds": 1.0,
+            "observer_fitted": 1.0, "observer_all": 1.0,
         } | row
         for one, row in scored
     )  # fmt: skip
@@ -145,6 +146,14 @@ def test_a_diagnosis_without_a_verdict_is_wrong_in_every_row_of_its_kind(tmp_pat
     assert not summary.summary(rows)["metric"].str.contains("size of the 90 % set").any()  # there is none
     assert summary.beside_baselines(rows, 40).set_index("method")["L0"]["this project"].startswith("0.00 ")
     assert summary.misses(rows).set_index("effect")["said instead"]["gust"] == "no verdict (1)"
+
+
+def test_names_are_held_against_those_of_the_observer() -> None:
+    bias, bank = truth("single", {"gyro_bias": {"z": 0.01}}), verdict([(["road_bank"], 0.9)], 0.0, 0.1)
+    right, wrong = (scores.score(bias, said) for said in (verdict([(["gyro_bias"], 0.9)], 0.0, 0.1), bank))
+    rows = table((bias, right | {"observer_fitted": 0.95}), (bias, wrong | {"observer_fitted": 0.55}))
+    assert cell(rows, "that of the observer (not L2)") == "0.75 of 2"
+    assert cell(rows, "this project's where the observer's is above 0.9") == "1.00 of 1"
 
 
 def test_the_page_says_by_which_command_and_on_which_processor_it_was_made() -> None:

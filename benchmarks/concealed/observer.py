@@ -1,4 +1,4 @@
-"""How often one names what is missing who knows all that the tool has to find out: a bound on any name's accuracy.
+"""How often one names what is missing who is told what the tool has to find out: about as often as one can be right.
 
 This observer knows the noise, that one effect of the catalogue is missing (or two), how strongly the benchmark conceals
 effects, and when and where the true one acts. To it every effect only grows with its size, from what it does where it
@@ -34,7 +34,7 @@ from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 DRAWS = 400  # of the noise
 TYPICAL = 16.0  # signal-to-noise ratio of an effect, of those that are drawn from 4 to 32
 SAME = 1e-6  # of log evidence: sets that are one and the same share the first place
-STARTS, LENGTHS_S = 8, (1.5, 5.0)  # at which what begins and ends is looked for
+STARTS, LENGTHS_S = 7, (1.5, 5.0)  # at which what begins and ends is looked for
 PLACES = (0.1, 0.5, 0.9)  # of the prior's width, at which any other parameter of an effect's shape is
 
 Shape = Sequence[Direction]
@@ -51,7 +51,7 @@ def shapes(found: Shape, last: float) -> list[Shape]:
 
 def _grid(p: Parameter, last: float) -> Sequence[float]:
     if p.name.endswith(".start"):
-        return [float(start) for start in np.linspace(0.0, last, STARTS)[:-1]]
+        return [float(start) for start in np.linspace(0.0, last, STARTS, endpoint=False)]
     if p.name.endswith(".duration"):
         return LENGTHS_S
     return [p.low + place * (p.high - p.low) for place in PLACES]
