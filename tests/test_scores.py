@@ -105,8 +105,8 @@ def test_on_real_recordings_one_name_is_held_against_one_name_of_simpler_methods
     assert [one["correct"] for _, one in rows] == [True] * 3
     beside = summary.beside_baselines(table(*rows), 40).set_index("method")
     assert beside["L2"]["this project"].startswith("0.33 ")
-    known = truth("single", {"gyro_bias": {"z": 0.01}})  # in simulation the answer has to be that effect alone
-    assert not scores.score(known, said | {"effects": {"gyro_bias": 0.95, "body_roll": 0.9}})["first_right"]
+    none = scores.score(real, said | {"p_none": 1.0, "effects": {"gyro_bias": 0.95}})
+    assert not none["first_right"]  # where the answer is that nothing is missing, no name is given
 
 
 def test_a_diagnosis_without_a_verdict_is_wrong_in_every_row_of_its_kind(tmp_path: Path) -> None:
@@ -146,6 +146,32 @@ def test_a_diagnosis_without_a_verdict_is_wrong_in_every_row_of_its_kind(tmp_pat
     assert not summary.summary(rows)["metric"].str.contains("size of the 90 % set").any()  # there is none
     assert summary.beside_baselines(rows, 40).set_index("method")["L0"]["this project"].startswith("0.00 ")
     assert summary.misses(rows).set_index("effect")["said instead"]["gust"] == "no verdict (1)"
+
+
+def test_whole_answers_of_simpler_methods_are_sets_and_nothing_is_one(tmp_path: Path) -> None:
+    bias, drag = {"gyro_bias": {"z": 0.01}}, {"aero_drag": {"area": 0.5}}
+    cases = [("none", {}, []), ("none", {}, ["gyro_bias"]), ("single", bias, ["gyro_bias"])]
+    cases += [("single", bias, ["gyro_bias", "aero_drag"]), ("pair", bias | drag, ["aero_drag", "gyro_bias"])]
+    cases += [("outside", {"cross_talk": {"leak": 1.0}}, ["gyro_bias"])]
+    (tmp_path / "sealed").mkdir()
+    for i, (kind, concealed, said) in enumerate(cases):
+        case = tmp_path / "cases" / f"{i:04d}"
+        case.mkdir(parents=True)
+        one = truth(kind, concealed, world="", regime="", snr_drawn=8.0, snr=8.0, detectable=True)
+        for fact in one["effects"].values():
+            fact["snr_beyond"] = 8.0
+        (tmp_path / "sealed" / f"{i:04d}.json").write_text(json.dumps(one))
+        (case / "case.yaml").write_text("{drive: speed, recordings: [a], channels: [a_y, yaw_rate]}")
+        (case / "baselines.json").write_text(json.dumps({"bic": said, "correlation": said}))
+        (case / "diagnosis").mkdir()
+        answer = verdict([(list(concealed), 1.0)] if concealed else [], 0.0 if concealed else 1.0, 0.0)
+        (case / "diagnosis" / "verdict.json").write_text(json.dumps(answer))
+    rows = campaign.gather(tmp_path, len(cases))
+    assert list(rows["bic_correct"]) == [True, False, True, False, True, False]
+    beside = summary.beside_baselines(rows, 40).set_index("method")["whole answer, L0 and L1"]
+    assert beside["forward selection by BIC"].startswith("0.50 ")
+    assert beside["this project"].startswith("0.83 ")  # all but the one outside the catalogue
+    assert beside["largest residual correlation"] == ""
 
 
 def test_names_are_held_against_those_of_the_observer() -> None:

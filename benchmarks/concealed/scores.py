@@ -38,6 +38,8 @@ SILENT: Json = {
     "mismatch": [], "unknown": None,
 }  # fmt: skip
 """A verdict that says nothing."""
+CHOOSING = ("bic", "lasso")
+"""Methods that say how many effects are missing, none among them."""
 NO_VERDICT = "no verdict"  # the answer of a diagnosis that crashed or ran out of time
 
 
@@ -79,8 +81,8 @@ def _names_beside(verdict: Json) -> bool:
 def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None) -> dict[str, Any]:
     """What one verdict is worth; None where a question does not arise. `oracle`: NRMSE of one who knows, by channel.
 
-    `first_right` is for comparison with methods that name one effect after the other: on L2, where an answer may hold
-    several, it asks for the most probable of them alone.
+    `first_right` is for comparison with methods that name one effect after the other: whether the single most probable
+    effect is there, unless the answer is that nothing is missing.
     """
     real = truth["level"] == "L2"
     ranked = answers(verdict, apart=real)
@@ -98,7 +100,7 @@ def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None)
         "answer": " + ".join(sorted(top[0])),
         "probability": top[1],
         "correct": correct[0],
-        "first_right": next(iter(verdict["effects"]), "none") in truth["effects"] if real else correct[0],
+        "first_right": top[0] != NONE and next(iter(verdict["effects"]), "none") in truth["effects"],
         "p_none": missing[0],
         "p_unknown": missing[1],
         "top1": 1.0 if correct[0] else half,
@@ -264,4 +266,6 @@ def row(folder: Path, index: int) -> dict[str, Any]:
         out[f"{method}_answer"] = names[0] if names else "none"
         out[f"{method}_top1"] = bool(names) and names[0] in truth["effects"]
         out[f"{method}_detected"] = bool(names)
+        if method in CHOOSING:
+            out[f"{method}_correct"] = frozenset(names or NONE) == right(truth)
     return out

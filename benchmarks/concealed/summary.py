@@ -178,14 +178,16 @@ NAMELESS = ("mmd_",)
 
 
 def beside_baselines(table: pd.DataFrame, catalogue: int) -> pd.DataFrame:
-    """First name right and anything seen among single effects that are detectable, alarms where nothing is missing.
+    """First name right and anything seen among single effects that are detectable, alarms where nothing is missing, and
+    in all simulated cases the whole answer right.
 
     Of cases that every method has seen, where some have not.
     """
     if "bic_top1" in table:
         table = table[table["bic_top1"].notna()]
     single = table[_kind("single")(table)]
-    nothing = table[(table["kind"] == "none") & (table["level"] != "L2")]
+    simulated = table[(table["level"] != "L2") & table["detectable"].astype(bool)]
+    nothing = simulated[simulated["kind"] == "none"]
     rows = []
     for method, prefix in METHODS.items():
         if f"{prefix}detected" not in table:
@@ -195,6 +197,8 @@ def beside_baselines(table: pd.DataFrame, catalogue: int) -> pd.DataFrame:
             named = single[f"{prefix}top1" if prefix else "first_right"]
             parts = {"all": named} | {level: named[single["level"] == level] for level in LEVELS}
             cells = {name: shown(part.dropna().astype(float).tolist()) for name, part in parts.items()}
+        if f"{prefix}correct" in table:
+            cells["whole answer, L0 and L1"] = shown(simulated[f"{prefix}correct"].dropna().astype(float).tolist())
         for column, part in (("seen", single), ("alarms where nothing is missing", nothing)):
             cells[column] = shown(part[f"{prefix}detected"].dropna().astype(float).tolist())
         rows.append({"method": method, **cells})
@@ -225,8 +229,9 @@ OBSERVER = """The observer is told the noise, the base model, that one effect of
 strong effects are and when they act; it has only to name them."""
 BESIDE = """## Beside simpler methods
 
-Of single effects that are detectable the first name, and whether anything was seen; false alarms. This project's first
-name is its likeliest answer, on L2 its single most probable effect: what else the car has is not known there."""
+Of single effects that are detectable the first name, and whether anything was seen. Of all simulated cases the whole
+answer: nothing, that effect or pair alone, or something unknown, which simpler methods cannot say. False alarms. This
+project's first name is its most probable effect, whatever else is missing, unless it answers that nothing is."""
 
 
 def report(table: pd.DataFrame, command: str, where: str, catalogue: int) -> str:
