@@ -168,18 +168,23 @@ def test_whole_answers_of_simpler_methods_are_sets_and_nothing_is_one(tmp_path: 
         (case / "diagnosis" / "verdict.json").write_text(json.dumps(answer))
     rows = campaign.gather(tmp_path, len(cases))
     assert list(rows["bic_correct"]) == [True, False, True, False, True, False]
-    beside = summary.beside_baselines(rows, 40).set_index("method")["whole answer, L0 and L1"]
-    assert beside["forward selection by BIC"].startswith("0.50 ")
-    assert beside["this project"].startswith("0.83 ")  # all but the one outside the catalogue
-    assert beside["largest residual correlation"] == ""
+    beside = summary.beside_baselines(rows, 40).set_index("method")
+    whole, inside = beside["whole answer, L0 and L1"], beside["within the catalogue"]
+    assert whole["forward selection by BIC"].startswith("0.50 ")
+    assert inside["forward selection by BIC"].startswith("0.60 ")
+    assert whole["this project"].startswith("0.83 ")  # all but the one outside the catalogue
+    assert inside["this project"].startswith("1.00 ")
+    assert whole["largest residual correlation"] == ""
+    strong = summary.beside_baselines(rows.assign(snr=4.0), 40).set_index("method")["L0 and L1, SNR 8 and more"]
+    assert (strong == "").all()
 
 
 def test_names_are_held_against_those_of_the_observer() -> None:
     bias, bank = truth("single", {"gyro_bias": {"z": 0.01}}), verdict([(["road_bank"], 0.9)], 0.0, 0.1)
     right, wrong = (scores.score(bias, said) for said in (verdict([(["gyro_bias"], 0.9)], 0.0, 0.1), bank))
     rows = table((bias, right | {"observer_fitted": 0.95}), (bias, wrong | {"observer_fitted": 0.55}))
-    assert cell(rows, "that of the observer (not L2)") == "0.75 of 2"
-    assert cell(rows, "this project's where the observer's is above 0.9") == "1.00 of 1"
+    assert cell(rows, "the observer, of single effects, from what is fitted") == "0.75 of 2"
+    assert cell(rows, "this project's where the observer's from what is fitted is above 0.9") == "1.00 of 1"
 
 
 def test_the_page_says_by_which_command_and_on_which_processor_it_was_made() -> None:
