@@ -160,6 +160,8 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
             for name, part in parts.items()
         }
         rows += [{"metric": m.label, **cells, "good": m.good}] if any(cells.values()) else []
+    if judged["kind"].eq("none").all():
+        return pd.DataFrame(rows)  # where nothing is ever missing, probabilities are not those of what is drawn
     parts = {name: part[part["answer"] != NO_VERDICT] for name, part in parts.items()}
     errors = {name: calibration_error(part) for name, part in parts.items()}
     cells = {name: "" if math.isnan(e) else f"{e:.3f}" for name, e in errors.items()}
