@@ -1,0 +1,48 @@
+"""prove.py as users run it: cases built, diagnosed in processes of their own and scored; continued, not begun again."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from test_run_script import ENVIRONMENT
+
+
+def prove(*arguments: str) -> tuple[int, str, str]:
+    done = subprocess.run(
+        [sys.executable, "scripts/prove.py", *arguments], cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("argument", "said"),
+    [("cases=0", "cases = 0; it must be a whole number above 0"), ("mix=some", "prove: unknown mix 'some'; known: ")],
+)
+def test_a_wrong_value_gets_one_line(tmp_path: Path, argument: str, said: str) -> None:
+    status, out, err = prove(argument, f"folder={tmp_path}/cases", f"results={tmp_path}/results")
+    assert (status, out) == (2, "")
+    assert err.startswith(f"error: {said}")
+    assert err.count("\n") == 1
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_case_is_built_diagnosed_and_scored_and_nothing_is_done_twice(tmp_path: Path) -> None:
+    where = [f"folder={tmp_path}/proof", f"results={tmp_path}/results", "workers=1", "baselines=false"]
+    given = ["cases=1", "seed=1", "mix=nothing", *where]
+    status, page, err = prove(*given)
+    assert status == 0, err
+    assert "`python scripts/prove.py cases=1 seed=1 mix=nothing`\n\n1 cases, 1 of them diagnosed, 0 without" in page
+    assert (tmp_path / "results" / "nothing.md").read_text() == page.removesuffix("\n")
+    assert len((tmp_path / "results" / "nothing.csv").read_text().splitlines()) == 2
+    case = tmp_path / "proof" / "cases" / "0000"
+    assert "sealed" not in (case / "case.yaml").read_text()  # of where the truth is, the diagnosis is told nothing
+    kept = [case / "a.csv", case / "diagnosis" / "verdict.json", tmp_path / "proof" / "sealed" / "0000.json"]
+    before = [file.stat().st_mtime_ns for file in kept]
+    status, again, err = prove(*given)
+    assert (status, again) == (0, page), err
+    assert [file.stat().st_mtime_ns for file in kept] == before
+    status, _, err = prove("cases=1", "seed=2", "mix=nothing", *where)
+    assert status == 2
+    assert "holds cases of seed 1, mix nothing, not of seed 2, mix nothing; name another folder" in err
