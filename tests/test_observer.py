@@ -115,5 +115,7 @@ def test_what_comes_and_goes_is_found_among_its_moments_and_pairs_are_both_found
 
 
 def test_an_effect_that_does_not_act_has_no_rate(recorded: observer.Recorded) -> None:
-    with pytest.raises(RuntimeError, match="does not act"):
-        recorded.rates({EFFECT_PARAMETERS["drive_gain.gain"]: 1.2}, 8.0)
+    silent = {EFFECT_PARAMETERS["drive_gain.gain"]: 1.2}
+    for truth in (silent, silent | {EFFECT_PARAMETERS["gyro_bias.z"]: 0.01}):
+        with pytest.raises(RuntimeError, match="not all of it acts"):
+            recorded.rates(truth, 8.0)

@@ -15,6 +15,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations, pairwise, product
 from pathlib import Path
 from typing import Any
@@ -131,26 +132,35 @@ class Recorded:
         sets = hypotheses([name for name, _ in asked], rows, len(true))
         flat = [d for _, shape in asked for d in shape]
         sizes = np.array([_size(d, truth) for d in flat])
-        changes, samples = self._changes(flat, sizes), self.fitted.windows.valid.shape[1]
-        G = Projection(self.fitted, self.theta).left(changes[..., :samples])
+        if {d.effect for d, size in zip(flat, sizes, strict=True) if size} != true:
+            raise RuntimeError(f"{', '.join(sorted(true))}: not all of it acts")
+        changes = self._changes(flat, sizes)
+        G = self._left(changes)
         sizes *= snr / float(np.linalg.norm(sizes @ G))
-        found = {"fitted": _rate(G, sizes, sets, true)}
+        found = {"fitted": rate_along(G, sizes, sets, true)}
         G = Projection(self.all, self.theta).left(changes)
-        return found | {"all": _rate(G, sizes, sets, true)}
+        return found | {"all": rate_along(G, sizes, sets, true)}
 
     def _changes(self, flat: Shape, sizes: np.ndarray) -> np.ndarray:
         """Of all series (K, channels, time) per unit of each direction: the true ones at their sizes, others where they
         change as much as the truth or, if that cannot be simulated, from a small step."""
         ends = [null(d.parameter) + size if size else off(d.parameter) for d, size in zip(flat, sizes, strict=True)]
         small = slopes(self.all, self.theta, flat, ends)
-        samples = self.fitted.windows.valid.shape[1]
-        left = Projection(self.fitted, self.theta).left(small[..., :samples])
+        left = self._left(small)
         changed = sizes @ left
         large = [_as_large(d.parameter, g, changed) for d, g in zip(flat, left, strict=True)]
         changes = slopes(self.all, self.theta, flat, np.where(sizes, ends, large).tolist())
-        if not np.any(sizes) or not self._simulated(small)[sizes != 0.0].all():
-            raise RuntimeError("the truth does not act, or cannot be simulated")
+        if not self._simulated(small)[sizes != 0.0].all():
+            raise RuntimeError("the truth cannot be simulated")
         return np.where(self._simulated(changes)[:, None, None], changes, small)
+
+    @cached_property
+    def _projection(self) -> Projection:
+        return Projection(self.fitted, self.theta)
+
+    def _left(self, changes: np.ndarray) -> np.ndarray:
+        """What fitting leaves of changes of all series, in the recordings that are fitted."""
+        return self._projection.left(changes[..., : self.fitted.windows.valid.shape[1]])
 
     def _simulated(self, changes: np.ndarray) -> np.ndarray:
         """Which of some changes are finite wherever something is fitted."""
@@ -178,7 +188,7 @@ def _size(d: Direction, truth: Truth) -> float:
     return truth[d.parameter] - null(d.parameter) if same else 0.0
 
 
-def _rate(G: np.ndarray, sizes: np.ndarray, sets: Sequence[Hypothesis], true: frozenset[str]) -> float:
+def rate_along(G: np.ndarray, sizes: np.ndarray, sets: Sequence[Hypothesis], true: frozenset[str]) -> float:
     """`rate` of directions (K, n) that have these sizes in truth."""
     norm = np.linalg.norm(G, axis=1, keepdims=True)
     unit = np.divide(G, norm, where=norm > 0.0, out=np.zeros_like(G))
