@@ -76,7 +76,7 @@ def test_the_verdict_is_what_the_format_promises(run: Path) -> None:
             (group if isinstance(group, list) else [group])}  # fmt: skip
     assert "body_roll" in held
     assert best["foretold"] > 0.0  # the other drive has the same roll
-    assert set(verdict["fit"]) == {"heldout", "base", "extended", "gain_log_score", "accepted"}
+    assert set(verdict["fit"]) == {"heldout", "base", "extended", "gain_log_score", "accepted", "accepted_because"}
     assert set(verdict["base_parameters"]["l_f"]) == {"before", "after", "unit"}
     for parameter in best["parameters"].values():
         assert parameter["q05"] < parameter["mean"] < parameter["q95"]

@@ -15,11 +15,13 @@ data.recording data.formats data.readers data.manoeuvre data.noise
 inference.prior inference.simulator inference.information inference.setup inference.embedding inference.emulator
 inference.features inference.estimator inference.training inference.proposal inference.rounds inference.predictive
 inference.study inference.calibration
-mismatch.belief mismatch.candidates mismatch.separability mismatch.fit mismatch.search mismatch.gate mismatch.case
+mismatch.belief mismatch.candidates mismatch.separability mismatch.fit mismatch.search mismatch.full_model
+mismatch.base_fit mismatch.gate mismatch.case
 mismatch.locate mismatch.laws mismatch.linear mismatch.staircase mismatch.stiction mismatch.detect mismatch.onset
-mismatch.loose mismatch.latent mismatch.repertoire mismatch.beyond mismatch.examine mismatch.foretell
+mismatch.loose mismatch.latent mismatch.repertoire mismatch.beyond mismatch.examine mismatch.foretell mismatch.support
 mismatch.agreement mismatch.explanation mismatch.unnamed mismatch.explain mismatch.sampled mismatch.reinfer
-mismatch.experiment mismatch.improve mismatch.answer mismatch.wording mismatch.verdict
+mismatch.experiment mismatch.improve mismatch.acceptance mismatch.answer mismatch.model_average mismatch.wording
+mismatch.verdict
 report.run_folder report.tables report.density report.figures report.mismatch_figures report.catalogue report.page
 report.card report.extended report.results report.diagnosis
 report.observability report.autoware

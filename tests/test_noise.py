@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cars import PAPER
+from scipy.signal import lfilter
 from scipy.stats import chi2, kstest
 from studies import STD, constant_noise, manoeuvre, paper_process, repeated
 
@@ -17,6 +18,8 @@ from vehicle_sbi.data.noise import (
     ProcessNoise,
     ProportionalNoise,
     from_residual,
+    rounding,
+    sensor_noise,
 )
 from vehicle_sbi.data.recording import Windows
 from vehicle_sbi.errors import InputError
@@ -236,3 +239,51 @@ def test_bad_noise_is_one_clear_line(case: str) -> None:
 def test_proportional_noise_needs_a_floor_since_signals_cross_zero() -> None:
     with pytest.raises(InputError, match=r"noise\.floor: a floor must be positive"):
         ProportionalNoise(share=SHARE, floor=FLOOR | {"a_x": 0.0}).measurement(manoeuvre().windows(PAPER))
+
+
+def ar1_series(rho: float, n: int, rng: np.random.Generator) -> np.ndarray:
+    unit = rng.standard_normal(n) * np.sqrt(1.0 - rho**2)
+    unit[0] /= np.sqrt(1.0 - rho**2)
+    return lfilter([1.0], [1.0, -rho], unit)
+
+
+def as_windows(y: np.ndarray, rate: float) -> Windows:
+    one = manoeuvre().windows(PAPER)
+    valid = np.ones_like(y, dtype=bool)
+    u, t = np.zeros((1, y.shape[1], one.u.shape[2])), np.arange(y.shape[1])[None] / rate
+    return replace(one, rate=rate, u=u, y=y, valid=valid, channels=("a_y",), groups=("imu",), t=t)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5])
+def test_a_sensors_noise_is_told_by_its_fast_scatter_whatever_slow_misfit_there_is(rho: float) -> None:
+    # A slow swing ten times as large, w = 2 pi 0.5 Hz: of order 3 over 0.25 s it leaves (0.25 s w)^4 / 4! / 16 of
+    # itself, a thousandth, which is a hundredth of the noise. The estimate is good to sqrt(2/n) (1 + rho)/(1 - rho).
+    rng = np.random.default_rng(3)
+    swing = np.sin(2.0 * np.pi * 0.5 * np.arange(4000) / 100.0)
+    y = 0.1 * ar1_series(rho, 4000, rng) + swing
+    windows = as_windows(y[None], 100.0)
+    found = sensor_noise(windows.y, windows)
+    assert found.floor[0] == pytest.approx(0.1, rel=4 * np.sqrt(2 / 4000) * (1 + rho) / (1 - rho))
+    noise = replace(from_residual(windows.y, windows, 0.5), sensor=found)
+    assert noise.floor[0] > 0.5
+    assert noise.of_sensor.floor[0] == found.floor[0]
+    assert noise.misfit[0] == pytest.approx(noise.floor[0] / found.floor[0])
+
+
+def test_noise_that_is_no_larger_than_the_fast_scatter_is_all_the_sensors() -> None:
+    windows = as_windows(0.1 * ar1_series(0.6, 4000, np.random.default_rng(4))[None], 100.0)
+    estimated = from_residual(0.5 * windows.y, windows)
+    noise = replace(estimated, sensor=sensor_noise(windows.y, windows))
+    assert noise.misfit[0] == 1.0
+    assert noise.of_sensor.floor[0] == estimated.floor[0]
+    assert noise.of_sensor.rho[0] == estimated.rho[0]
+
+
+@pytest.mark.parametrize("step", [0.02, 1.0 / 3.0])
+def test_a_quantised_channel_keeps_its_rounding_noise(step: float) -> None:
+    # So slow that it stays on a step for longer than the filter: its fast scatter is nothing, its rounding not.
+    signal = 10.0 * step * np.sin(2.0 * np.pi * np.arange(4000) / 4000.0)
+    windows = as_windows(np.round(signal / step)[None] * step, 100.0)
+    assert sensor_noise(windows.y, windows).floor[0] >= step / np.sqrt(12.0) * (1 - 1e-9)
+    assert rounding(windows.y[0]) == pytest.approx(step / np.sqrt(12.0))
+    assert rounding(np.random.default_rng(0).normal(size=4000)) == 0.0

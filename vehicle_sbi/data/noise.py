@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
-from scipy.signal import lfilter, savgol_filter
+from jaxtyping import Bool, Float
+from scipy.signal import lfilter, savgol_coeffs, savgol_filter
 
 from vehicle_sbi.data.recording import Windows
 from vehicle_sbi.errors import InputError, unknown
@@ -21,6 +21,10 @@ LARGEST_RHO = 0.999
 FEWEST = 10  # samples of a channel from which its noise is estimated
 # Window [s] and order of the local polynomial whose residual is taken for sensor noise.
 SMOOTHING_S, SMOOTHING_ORDER = 0.25, 3
+CORRELATIONS = np.linspace(0.0, 0.99, 100)  # of noise that is told by its fast scatter
+# A channel reads in steps if at most this share of its readings differ, all by multiples of one step to this part of
+# it; differences below this part of the channel's range are the file's decimals.
+MOST_LEVELS, OFF_STEP, RESOLVED = 0.2, 0.05, 1e-6
 
 
 @dataclass(frozen=True)
@@ -85,17 +89,41 @@ class DrawnProcessNoise:
 
 
 @dataclass(frozen=True)
+class SensorNoise:
+    """The noise that sensors have of their own: standard deviation [channel's unit] and lag-one correlation of each."""
+
+    floor: Float[np.ndarray, " channels"]
+    rho: Float[np.ndarray, " channels"]
+
+
+@dataclass(frozen=True)
 class MeasurementNoise:
     """Zero-mean noise of each channel: sigma^2 = (share * value)^2 + floor^2, correlated as rho^lag.
 
     share, floor, rho have one entry a channel, floors in the channel's unit. `window` is the number of samples after
-    which the recording starts anew and so does the correlation.
+    which the recording starts anew and so does the correlation. `sensor` is what of the floor a sensor can have made by
+    its own fast scatter, the rest being misfit of the model; None: all of it.
     """
 
     share: Float[np.ndarray, " channels"]
     floor: Float[np.ndarray, " channels"]
     rho: Float[np.ndarray, " channels"]
     window: int
+    sensor: "SensorNoise | None" = None
+
+    @property
+    def of_sensor(self) -> "MeasurementNoise":
+        """The sensors' own noise, without what is misfit."""
+        if self.sensor is None:
+            return self
+        larger = self.floor > self.sensor.floor
+        floor, rho = np.minimum(self.floor, self.sensor.floor), np.where(larger, self.sensor.rho, self.rho)
+        return MeasurementNoise(self.share, floor, rho, self.window)
+
+    @property
+    def misfit(self) -> Float[np.ndarray, " channels"]:
+        """How many times the sensor's own noise each channel's floor is."""
+        return self.floor / self.of_sensor.floor
 
     def std(self, y: Float[np.ndarray, "*n channels time"]) -> Float[np.ndarray, "*n channels time"]:
         """Standard deviation of each sample, in the channel's unit."""
@@ -205,11 +233,66 @@ class EstimatedNoise:
     def measurement(self, windows: Windows) -> MeasurementNoise:
         if not np.isfinite(windows.y).any():
             raise InputError("noise=estimated: there is no recording to estimate it from; use noise=paper or constant")
-        length = max(SMOOTHING_ORDER + 2, round(SMOOTHING_S * windows.rate)) | 1
-        y = _bridged(windows.y).reshape(len(windows.channels), -1, windows.t.shape[1])
-        rest = y - savgol_filter(y, min(length, y.shape[-1] - (1 - y.shape[-1] % 2)), SMOOTHING_ORDER, axis=-1)
+        length = _smoothed_over(windows.rate)
         # The polynomial takes (order + 1) of every `length` degrees of freedom.
-        return from_residual(rest.reshape(windows.y.shape) / np.sqrt(1 - (SMOOTHING_ORDER + 1) / length), windows)
+        return from_residual(rough(windows.y, windows) / np.sqrt(1 - (SMOOTHING_ORDER + 1) / length), windows)
+
+
+def _smoothed_over(rate: float) -> int:
+    """Samples of the local polynomial, an odd number."""
+    return max(SMOOTHING_ORDER + 2, round(SMOOTHING_S * rate)) | 1
+
+
+def rough(y: Float[np.ndarray, "channels time"], windows: Windows) -> Float[np.ndarray, "channels time"]:
+    """What a local polynomial leaves over of series, window by window; NaN counts as absent and is bridged."""
+    length = min(_smoothed_over(windows.rate), windows.t.shape[1] - (1 - windows.t.shape[1] % 2))
+    series = _bridged(y).reshape(len(y), -1, windows.t.shape[1])
+    return (series - savgol_filter(series, length, SMOOTHING_ORDER, axis=-1)).reshape(y.shape)
+
+
+def sensor_noise(y: Float[np.ndarray, "channels time"], windows: Windows) -> SensorNoise:
+    """The AR(1) noise that leaves the fast scatter which each channel has, and no slow one, or its rounding if larger.
+
+    Of unit noise with correlation rho^lag the polynomial's residual has the variance g' R g and the lag-one covariance
+    g' R S g (g the filter, R_ij = rho^|i-j|, S a shift): their ratio tells rho, the variance then the noise's.
+    """
+    rest, floor, rho = rough(np.where(windows.valid, y, np.nan), windows), [], []
+    ratios, shares = _left_by_filter(min(_smoothed_over(windows.rate), windows.t.shape[1]))
+    for values, valid, read in zip(rest, windows.valid, y, strict=True):
+        pairs = _neighbours(valid, windows.t.shape[1])
+        square = float(np.mean(values[valid] ** 2)) if valid.any() else 0.0
+        ratio = float(np.mean(values[pairs] * values[pairs + 1])) / max(square, TINY**2) if len(pairs) else 0.0
+        rho.append(float(np.interp(ratio, ratios, CORRELATIONS)))
+        share = float(np.interp(rho[-1], CORRELATIONS, shares))
+        floor.append(max(np.sqrt(square / share), rounding(read[valid]), TINY))
+    return SensorNoise(np.array(floor), np.array(rho))
+
+
+def _left_by_filter(length: int) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Of unit AR(1) noise at each of CORRELATIONS: lag-one correlation and variance of what the polynomial leaves."""
+    length -= 1 - length % 2
+    kernel = -savgol_coeffs(length, min(SMOOTHING_ORDER, length - 1))
+    kernel[length // 2] += 1.0
+    lags = np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
+    shifted = np.abs(np.subtract.outer(np.arange(length), np.arange(length) + 1))
+    variance = np.array([kernel @ rho**lags @ kernel for rho in CORRELATIONS])
+    return np.array([kernel @ rho**shifted @ kernel for rho in CORRELATIONS]) / variance, variance
+
+
+def rounding(values: Float[np.ndarray, " n"]) -> float:
+    """Standard deviation of the rounding of a channel that reads in steps, a step over sqrt(12); 0 of any other."""
+    distinct = np.unique(values)
+    if len(distinct) < 2 or len(distinct) > MOST_LEVELS * len(values):
+        return 0.0
+    steps = np.diff(distinct)
+    step = float(steps[steps > RESOLVED * np.ptp(distinct)].min(initial=np.inf))
+    off = np.abs(steps / step - np.round(steps / step))
+    return step / float(np.sqrt(12.0)) if np.isfinite(step) and np.mean(off) < OFF_STEP else 0.0
+
+
+def _neighbours(valid: Bool[np.ndarray, " time"], window: int) -> np.ndarray:
+    """Valid samples whose next one is valid and of the same window."""
+    return np.flatnonzero(valid[:-1] & valid[1:] & (np.arange(1, len(valid)) % window > 0))
 
 
 def _bridged(y: Float[np.ndarray, "channels time"]) -> Float[np.ndarray, "channels time"]:
@@ -241,7 +324,7 @@ def from_residual(
                 f"noise=estimated: channel {name} has {valid.sum()} valid samples; it needs at least {FEWEST}"
             )
         square = float(np.mean(residual[channel, valid] ** 2))
-        pairs = np.flatnonzero(valid[:-1] & valid[1:] & (np.arange(1, len(valid)) % time > 0))
+        pairs = _neighbours(valid, time)
         product = float(np.mean(residual[channel, pairs] * residual[channel, pairs + 1]))
         found = float(np.clip(product / max(square, TINY**2), 0.0, 1.0))
         rho.append(min(found, largest))

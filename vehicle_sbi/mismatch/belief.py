@@ -12,12 +12,14 @@ from vehicle_sbi.physics.effects import CATALOGUE
 class Belief:
     """`effects`: probability that none, one, two, … effects of the catalogue are missing, no set more likely than
     another of its size; `unknown`: odds of something outside the catalogue beside any of them that follows a law, or
-    none; and of what even the likeliest set of all leaves over.
+    none; and of what even the likeliest set of all leaves over. They count in full, however evidence is tempered.
+
+    By default what cars have: a simulation that lacks nothing is rare, and several effects are as common as one.
 
     Raises InputError where these are no probabilities or no odds.
     """
 
-    effects: Sequence[float] = (0.5, 0.4, 0.09, 0.01)
+    effects: Sequence[float] = (0.03, 0.18, 0.36, 0.43)
     unknown: float = 0.3
 
     def __post_init__(self) -> None:
@@ -35,6 +37,9 @@ class Belief:
         return len(self.effects) - 1
 
     def log_prior(self, effects: int, laws: int | None = None) -> float:
-        """Of one set of so many effects; with one of so many laws that the catalogue does not have, where given."""
+        """Of one set of so many effects; with one of so many laws that the catalogue does not have, where given.
+
+        Laws are alike in groups: so many count as the square root of their number.
+        """
         named = log(self.effects[effects]) - log(comb(len(CATALOGUE), effects))
-        return named if laws is None else named + log(self.unknown / laws)
+        return named if laws is None else named + log(self.unknown) - 0.5 * log(laws)

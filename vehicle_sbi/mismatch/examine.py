@@ -16,7 +16,7 @@ from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.beyond import Beyond
 from vehicle_sbi.mismatch.candidates import STEPS, Direction, allowed, null, tile
 from vehicle_sbi.mismatch.detect import Scores, score
-from vehicle_sbi.mismatch.fit import Fit
+from vehicle_sbi.mismatch.fit import Fit, log_volume
 from vehicle_sbi.mismatch.laws import Law
 from vehicle_sbi.mismatch.linear import Linearised, profile
 from vehicle_sbi.mismatch.locate import Block
@@ -62,10 +62,10 @@ class Model:
     def log_evidence(self) -> float:
         return self.fit.log_evidence + (self.outside.gain if isinstance(self.outside, Loose) else 0.0)
 
-    def weight(self, belief: Belief) -> float:
-        """Log prior plus log evidence, that of what is foretold included."""
+    def weight(self, belief: Belief, power: float = 1.0) -> float:
+        """Log prior plus log evidence, that of what is foretold included, the evidence to a power."""
         laws = None if self.outside is None else self.choice
-        return belief.log_prior(len(self.effects), laws) + self.log_evidence + TOLD * self.told
+        return belief.log_prior(len(self.effects), laws) + power * (self.log_evidence + TOLD * self.told)
 
 
 @dataclass(frozen=True)
@@ -173,8 +173,8 @@ def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joi
         low, high = (np.array([[getattr(found[k], end) for k in rows]]) for end in ("low", "high"))
         best = profile(about, changes[rows][None], low, high)
         gain = float(best.log_likelihood[0] - about.alone)
-        _, log_det = np.linalg.slogdet(np.eye(len(rows)) + best.information[0] * (high - low)[0] ** 2 / 12.0)
-        volume = -0.5 * float(log_det) + 0.5 * len(rows) * np.log(2 * np.pi / 12.0)
+        spread = (high - low)[0] / np.sqrt(12.0)
+        volume = log_volume(best.information[0] * np.outer(spread, spread))
         together[effect] = Joint(rows, best.size[0], gain, gain + volume)
     return together
 

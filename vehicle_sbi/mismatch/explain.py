@@ -16,10 +16,10 @@ from vehicle_sbi.mismatch.candidates import Direction, within
 from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model, Version, examine, glance, versions
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import NEAR_STEPS, Fit, descend, settled
+from vehicle_sbi.mismatch.full_model import elsewhere
 from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.mismatch.search import likeliest
 from vehicle_sbi.mismatch.unnamed import HOPELESS, beside
-from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 
 TRIED = 8  # effects at most that are fitted fully beside each model
@@ -29,16 +29,21 @@ EXCHANGES = 2  # of effects of the best set, at most: each may show a better set
 BELIEF = Belief()
 
 
-def extended(model: Model, version: Version) -> Model | None:
-    """The model with one more effect, all parameters fitted under noise of its own; None if it cannot be simulated."""
+def extended(model: Model, version: Version, full: Fit | None = None) -> Model | None:
+    """The model with one more effect, all parameters fitted under noise of its own; None if it cannot be simulated.
+
+    It starts from where the model is, and from where the `full` model has its parameters, if that is elsewhere.
+    """
     simulator = model.fit.simulator
     boxes = {p.name: p for p in within(simulator, CATALOGUE[version.effect]).parameters}
     added = [*version.starts[0]]
-    space = ParameterSpace((*simulator.space.parameters, *(boxes[p.name] for p in added)))
-    wider = model.fit.observation.extended(replace(simulator, space=space))
+    wider = model.fit.observation.freeing([*simulator.space.parameters, *(boxes[p.name] for p in added)])
+    space, away = wider.simulator.space, elsewhere(full, model.fit)
     points = [
-        np.clip(np.concatenate([model.fit.theta, [start[p] for p in added]]), space.low, space.high)
-        for start in version.starts
+        np.clip(np.concatenate([theta, [start[p] for p in added]]), space.low, space.high)
+        for theta, starts in ((model.fit.theta, version.starts), (away, version.starts[:1]))
+        if theta is not None
+        for start in starts
     ]
     fit = settled(likeliest(wider, points, NEAR_STEPS))
     effects = tuple(sorted({*model.effects, version.effect}))  # another parameter of an effect is no further effect
@@ -48,13 +53,12 @@ def extended(model: Model, version: Version) -> Model | None:
 
 def without(model: Model, effect: str) -> Model | None:
     """The model with one effect fewer, all other parameters fitted; None if it cannot be simulated."""
-    simulator, theta = model.fit.simulator, model.fit.theta
-    names = simulator.space.names
-    kept = [k for k, name in enumerate(names) if name in model.base or name.split(".")[0] != effect]
-    space = ParameterSpace(tuple(simulator.space.parameters[k] for k in kept))
-    fit = settled(descend(model.fit.observation.extended(replace(simulator, space=space)), theta[kept], NEAR_STEPS))
-    rest = tuple(name for name in model.effects if name != effect)
-    return None if fit is None else replace(model, effects=rest, fit=fit)
+    space, theta = model.fit.simulator.space, model.fit.theta
+    kept = [k for k, name in enumerate(space.names) if name in model.base or name.split(".")[0] != effect]
+    rest = model.fit.observation.freeing([space.parameters[k] for k in kept])
+    fit = settled(descend(rest, theta[kept], NEAR_STEPS))
+    others = tuple(name for name in model.effects if name != effect)
+    return None if fit is None else replace(model, effects=others, fit=fit)
 
 
 def explain(
@@ -62,12 +66,14 @@ def explain(
     known: Sequence[Direction],
     *,
     rng: np.random.Generator,
+    full: Fit | None = None,
     belief: Belief = BELIEF,
     tried: Callable[[str], None] = lambda name: None,
 ) -> Explanation:
     """Search sets of effects from the base model on, among the directions that are known to act at its fit.
 
-    `tried` is told the name of each set once it is fitted.
+    `full` is the fit with all of them in, where models also start; `tried` is told the name of each set once it is
+    fitted.
     """
 
     def weight(model: Model) -> float:
@@ -83,7 +89,7 @@ def explain(
     promising = {version.effect for version in versions(first)[:TRIED]}
     for _ in range(belief.most):
         grown: dict[tuple[str, ...], Model] = {}
-        for model in (model for examined in frontier for model in _grow(examined)):
+        for model in (model for examined in frontier for model in _grow(examined, full)):
             tried(" + ".join(model.effects))
             known_already = grown.get(model.effects) or pool.get(model.effects)
             if known_already is None or weight(model) > weight(known_already):
@@ -100,7 +106,7 @@ def explain(
     likely = repertoire.only(promising)
     named: list[Model] = []
     for _ in range(EXCHANGES):
-        for model in exchanged(best.model, likely, rng):
+        for model in exchanged(best.model, likely, rng, full):
             tried(" + ".join(model.effects))
             pool[model.effects] = max(model, pool.get(model.effects, model), key=weight)
         named = sorted((model for model in pool.values() if model.effects), key=weight, reverse=True)
@@ -108,10 +114,13 @@ def explain(
             break
         best = examine(named[0], repertoire, rng)
         unnamed += beside(best, base.simulator.space)
-    return Explanation(named, unnamed, first, best, belief).in_order()
+    sizes = frozenset(d.parameter.name for d in known)
+    return Explanation(named, unnamed, first, best, belief, sizes=sizes).supported()
 
 
-def exchanged(model: Model, repertoire: Repertoire, rng: np.random.Generator) -> Iterator[Model]:
+def exchanged(
+    model: Model, repertoire: Repertoire, rng: np.random.Generator, full: Fit | None = None
+) -> Iterator[Model]:
     """A set of several effects without each of them, and with others that promise as much in its place.
 
     The search has grown the set one by one, and so has not seen what could stand in for those that came first; nor what
@@ -120,15 +129,15 @@ def exchanged(model: Model, repertoire: Repertoire, rng: np.random.Generator) ->
     for effect in model.effects if len(model.effects) > 1 else ():
         if (rest := without(model, effect)) is not None:
             yield rest
-            yield from _grow(glance(rest, repertoire, rng))
+            yield from _grow(glance(rest, repertoire, rng), full)
 
 
-def _grow(examined: Examined) -> Iterator[Model]:
+def _grow(examined: Examined, full: Fit | None) -> Iterator[Model]:
     """The model with each of its most promising effects."""
     promising = versions(examined)[:TRIED]
     for i, version in enumerate(promising):
         needed = max(LEAST_SHARE * promising[0].log_evidence - SLACK, HOPELESS)
         if version.log_evidence < needed and (i > 0 or examined.model.effects):
             return
-        if version.score > 0 and (model := extended(examined.model, version)) is not None:
+        if version.score > 0 and (model := extended(examined.model, version, full)) is not None:
             yield model

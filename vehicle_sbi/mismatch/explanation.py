@@ -16,6 +16,7 @@ from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.foretell import foretold
+from vehicle_sbi.mismatch.support import unsupported
 
 SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
 SURPRISE_TOLD = 0.5  # the same for the p-value of what is foretold
@@ -33,7 +34,8 @@ class Explanation:
     """Sets of effects, the most probable first, beside the base model and the best one, which were examined.
 
     `unnamed` are models with a law that the catalogue does not have, the most probable first; `p_told` is how often
-    the best one's parameters would seem to move as much from one recording to another, if anything was foretold.
+    the best one's parameters would seem to move as much from one recording to another, if anything was foretold;
+    `sizes` names the parameters along which effects leave their nulls.
     """
 
     models: list[Model]
@@ -42,6 +44,7 @@ class Explanation:
     best: Examined
     belief: Belief
     p_told: float | None = None
+    sizes: frozenset[str] = frozenset()
 
     def foretelling(self, further: Observation) -> "Explanation":
         """With what further recordings say of each model; as it is where the base model fails there.
@@ -66,6 +69,17 @@ class Explanation:
         return replace(
             self, models=named, unnamed=unnamed, best=replace(self.best, model=best), p_told=p_told
         ).in_order()
+
+    def supported(self) -> "Explanation":
+        """Without sets that hold an effect whose size may as well be nothing."""
+        kept = [model for model in self.models if not unsupported(model, self.sizes, self.temper)]
+        return replace(self, models=kept).in_order()
+
+    @property
+    def shares(self) -> list[tuple[Model, float]]:
+        """All models with their probabilities: sets, those with a law, none, and what the best set leaves over."""
+        models = (*self.models, *self.unnamed, self.base.model, self.best.model)
+        return list(zip(models, self._shares.tolist(), strict=True))
 
     def in_order(self) -> "Explanation":
         """Sets by how probable they are alone, and only if something unknown is likelier than all of them, or they are
@@ -97,13 +111,13 @@ class Explanation:
     def _shares(self) -> Float[np.ndarray, " k"]:
         """Probabilities of all sets, of all with a law, of none and of what is left over, in this order.
 
-        Evidence is tempered: it takes the noise for exactly what it was modelled as, and so comes out too sure; the
-        more so, the more the best set leaves over. What is unknown is as probable as what the best set leaves over, and
-        how its parameters move from one recording to another, are surprising. What a right set adds to the base model
-        does not harm it elsewhere; one that does is doubted.
+        Evidence is tempered, the prior is not: evidence takes the noise for exactly what it was modelled as, and so
+        comes out too sure; the more so, the more the best set leaves over. What is unknown is as probable as what the
+        best set leaves over, and how its parameters move from one recording to another, are surprising. What a right
+        set adds to the base model does not harm it elsewhere; one that does is doubted.
         """
         models = (*self.models, *self.unnamed, self.base.model, self.best.model)
-        weights = self.temper * np.array([model.weight(self.belief) for model in models])
+        weights = np.array([model.weight(self.belief, self.temper) for model in models])
         weights[: len(self.models)] += np.log([BENEFIT if doubted(model) else 1.0 for model in self.models])
         weights[-1] += np.log(self.belief.unknown) + _surprise(self.best.p_adequate, SURPRISE)
         if self.p_told is not None:
@@ -145,7 +159,7 @@ class Explanation:
         alike = [model for model in self.models if len(model.effects) == len(effects)]
         if not alike:
             return {effects: 1.0}
-        weight = self.temper * np.array([model.weight(self.belief) for model in alike])
+        weight = np.array([model.weight(self.belief, self.temper) for model in alike])
         parts = np.exp(weight - np.logaddexp.reduce(weight))
         return {model.effects: float(part) for model, part in zip(alike, parts, strict=True)}
 

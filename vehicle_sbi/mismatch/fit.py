@@ -10,6 +10,7 @@ so that everything else is least squares: Gauss-Newton steps in A's units inside
 fit leaves over, both in turn until neither moves.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,8 +18,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
-from vehicle_sbi.data.noise import MeasurementNoise, from_residual
+from vehicle_sbi.data.noise import MeasurementNoise, from_residual, sensor_noise
 from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.parameters import Parameter, ParameterSpace
 
 STEP = 1e-3  # of the prior's width or of an initial state's standard deviation, for differences
 DAMPING = 1e-3  # information in units of the prior that keeps directions which nothing sees from running away
@@ -46,6 +48,10 @@ class Observation:
 
     def extended(self, simulator: Simulator) -> "Observation":
         return replace(self, simulator=simulator)
+
+    def freeing(self, parameters: Sequence[Parameter]) -> "Observation":
+        """The same with other parameters free."""
+        return self.extended(replace(self.simulator, space=ParameterSpace(tuple(parameters))))
 
     @property
     def anything(self) -> bool:
@@ -160,12 +166,28 @@ def _by_channel(windows: Float[np.ndarray, "windows k samples"], channels: int) 
 
 
 @dataclass(frozen=True)
+class Shrinkage:
+    """What pulls parameters towards a centre, with a precision each in units of the prior's standard deviations."""
+
+    centre: Float[np.ndarray, " d"]
+    precision: Float[np.ndarray, " d"]
+
+    def cost(self, theta: Float[np.ndarray, "n d"], spread: Float[np.ndarray, " d"]) -> Float[np.ndarray, " n"]:
+        """Half the sum of squares that being off the centre adds."""
+        return 0.5 * ((theta - self.centre) / spread) ** 2 @ self.precision
+
+
+@dataclass(frozen=True)
 class Fit:
-    """A model at its best: the observation under the noise that belongs to it, theta, and the model about it."""
+    """A model at its best: the observation under the noise that belongs to it, theta, and the model about it.
+
+    `shrinkage` is what pulls its parameters, if anything does.
+    """
 
     observation: Observation
     theta: Float[np.ndarray, " d"]
     at: Linear
+    shrinkage: Shrinkage | None = None
 
     @property
     def simulator(self) -> Simulator:
@@ -215,10 +237,14 @@ class Fit:
 
     @property
     def log_evidence(self) -> float:
-        """Laplace's approximation: log likelihood + log prior + log volume of the posterior."""
-        _, log_det = np.linalg.slogdet(self.information + np.eye(len(self.theta)))
-        d = len(self.theta)
-        return self.log_likelihood - 0.5 * float(log_det) + 0.5 * d * (np.log(2 * np.pi) - np.log(12.0))
+        """Laplace's approximation: log likelihood + log of the share of the prior's box that the posterior fills."""
+        return self.log_likelihood + log_volume(self.information)
+
+
+def log_volume(information: Float[np.ndarray, "d d"]) -> float:
+    """Log of the share of a uniform prior that a posterior with this information (in units of the prior's standard
+    deviations) fills: (2 pi)^(d/2) / sqrt(12^d det F) where much is seen, 1 along what is not seen at all."""
+    return -0.5 * float(np.linalg.slogdet(np.eye(len(information)) + information * 6.0 / np.pi)[1])
 
 
 def _steps(fit: Fit) -> Float[np.ndarray, "shares d"]:
@@ -226,9 +252,10 @@ def _steps(fit: Fit) -> Float[np.ndarray, "shares d"]:
     space, metric = fit.simulator.space, fit.metric
     spread = space.prior_std
     J, r = metric(fit.at.J).reshape(len(spread), -1), metric(fit.residual).reshape(-1)
-    damping = np.sqrt(DAMPING) * np.eye(len(spread))
-    q, triangle = np.linalg.qr(np.concatenate([J.T, damping]))
-    target = q.T @ np.concatenate([r, np.zeros(len(spread))])
+    pull = fit.shrinkage or Shrinkage(fit.theta, np.full(len(spread), DAMPING))
+    root = np.sqrt(pull.precision)
+    q, triangle = np.linalg.qr(np.concatenate([J.T, np.diag(root)]))
+    target = q.T @ np.concatenate([r, root * (pull.centre - fit.theta) / spread])
     room = 1e-9 * (space.high - space.low)
     bounds = ((space.low - room - fit.theta) / spread, (space.high + room - fit.theta) / spread)
     step = np.asarray(lsq_linear(triangle, target, bounds=bounds, method="bvls").x) * spread
@@ -243,9 +270,14 @@ def cost(metric: Metric, residual: Float[np.ndarray, "n channels time"]) -> Floa
     return cost
 
 
-def descend(observation: Observation, start: Float[np.ndarray, " d"], steps: int = MOST_STEPS) -> Fit | None:
+def descend(
+    observation: Observation,
+    start: Float[np.ndarray, " d"],
+    steps: int = MOST_STEPS,
+    shrinkage: Shrinkage | None = None,
+) -> Fit | None:
     """The optimum that Gauss-Newton finds from `start` under the noise as it is; None where the simulation fails."""
-    fit = Fit(observation, start, linearise(observation.simulator, start))
+    fit = Fit(observation, start, linearise(observation.simulator, start), shrinkage)
     return onwards(fit, steps) if np.isfinite(fit.at.y).all() else None
 
 
@@ -254,26 +286,37 @@ def onwards(fit: Fit, steps: int) -> Fit:
 
     What initial states do is taken from the start, which hardly depends on theta.
     """
-    observation, valid = fit.observation, fit.simulator.windows.valid
+    observation, valid, pull = fit.observation, fit.simulator.windows.valid, fit.shrinkage
+    spread = fit.simulator.space.prior_std
+
+    def pulled(theta: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
+        return np.zeros(len(theta)) if pull is None else pull.cost(theta, spread)
+
     for _ in range(steps):
-        now, theta = cost(fit.metric, fit.residual[None])[0], None
+        now, theta = (cost(fit.metric, fit.residual[None]) + pulled(fit.theta[None]))[0], None
         for points in np.split(_steps(fit), [1]):  # the whole step, and only if that is too far shorter ones
             y = observation.simulator.noise_free(points)
-            costs = cost(fit.metric, np.where(valid, observation.observed - y, 0.0))
+            costs = cost(fit.metric, np.where(valid, observation.observed - y, 0.0)) + pulled(points)
             if now - costs.min() >= CONVERGED:
                 theta = points[int(np.argmin(costs))]
                 break
         if theta is None:
             break
-        fit = Fit(observation, theta, linearise(observation.simulator, theta, fit.at.J_x))
+        fit = Fit(observation, theta, linearise(observation.simulator, theta, fit.at.J_x), pull)
     return fit
 
 
 def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS) -> Fit:
-    """The fit under the noise that it leaves over itself, both in turn until the noise stays; as is if it is known."""
-    for _ in range(rounds if fit.observation.estimated else 0):
+    """The fit under the noise that it leaves over itself, both in turn until the noise stays; as is if it is known.
+
+    What of it the sensors can have made is told by their fast scatter, whatever the model.
+    """
+    if not fit.observation.estimated:
+        return fit
+    sensor = sensor_noise(fit.observation.observed, fit.simulator.windows)
+    for _ in range(rounds):
         before = fit.simulator.noise
-        noise = from_residual(fit.unexplained, fit.simulator.windows, MEMORY_S)
+        noise = replace(from_residual(fit.unexplained, fit.simulator.windows, MEMORY_S), sensor=sensor)
         fit = onwards(replace(fit, observation=fit.observation.extended(fit.simulator.with_noise(noise))), steps)
         if np.allclose(noise.floor, before.floor, rtol=0.01) and np.allclose(noise.rho, before.rho, atol=0.005):
             break

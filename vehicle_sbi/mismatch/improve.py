@@ -12,7 +12,7 @@ continuous ranked probability score, which for a normal prediction is (Gneiting 
 
     CRPS = std (z (2 Phi(z) - 1) + 2 phi(z) - pi^(-1/2)),   z the error over its std
 
-The extended model is accepted if its gain is certain and no channel's CRPS gets worse for certain.
+What it takes to accept the extended model stands in `acceptance`.
 """
 
 from collections.abc import Sequence
@@ -67,11 +67,6 @@ class Gain:
     @property
     def certain(self) -> bool:
         return self.low > 0.0
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the model is to be preferred."""
-        return self.certain and not self.worse
 
 
 def predict(model: Model, held_out: Observation, *, apart: bool) -> Prediction | None:

@@ -103,6 +103,12 @@ class Card:
         apart = self.could_show().keys() | {name.split(".")[0] for name in self.fitted}
         return [name for name in CATALOGUE if name not in apart]
 
+    def visible(self, known: Sequence[Direction]) -> list[Direction]:
+        """Of the directions that the candidates are of, those that could show here; what comes and goes may show at
+        another time than it was tried at."""
+        both = zip(known, self.candidates, strict=True)
+        return [direction for direction, candidate in both if candidate.visible or direction.clocked]
+
     def idle(self) -> list[str]:
         """Those of them that change nothing here at all."""
         acting = {c.effect for c in self.candidates}
@@ -113,7 +119,7 @@ def card(simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[D
     """What the recording behind `simulator` could show if the car is as theta says; `found` are all directions there,
     where they are known already."""
     at, found = sensitivity(simulator, theta), left_out(simulator, theta) if found is None else found
-    noise, valid = simulator.noise, simulator.windows.valid
+    noise, valid = simulator.noise.of_sensor, simulator.windows.valid
     std = noise.std(at.y)
 
     def white(changes: np.ndarray) -> np.ndarray:

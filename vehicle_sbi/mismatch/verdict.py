@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, truncnorm
 
+from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.mismatch.acceptance import judged
 from vehicle_sbi.mismatch.agreement import disagreeing
 from vehicle_sbi.mismatch.answer import (
     Estimate,
@@ -34,6 +36,7 @@ from vehicle_sbi.mismatch.latent import what_it_takes
 from vehicle_sbi.mismatch.laws import Law
 from vehicle_sbi.mismatch.locate import Stretch, lies_in, merged, own_time
 from vehicle_sbi.mismatch.loose import Loose
+from vehicle_sbi.mismatch.model_average import averaged
 from vehicle_sbi.mismatch.onset import Onset
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.mismatch.wording import SPOKEN_OF, distrusted, sentence
@@ -42,6 +45,8 @@ from vehicle_sbi.physics.effects import CATALOGUE
 SCHEMA = 1
 LISTED = 40  # explanations at most
 LIKELY = 0.02  # probability of sets, from which doubts about them are worth a note
+CORNERED = 2  # base parameters on rims, from which the fit is said to be in a corner
+MISFIT = 2.0  # times the sensor's own noise, from which what is left over is worth a warning
 
 
 def estimates(model: Model, power: float = 1.0) -> dict[str, Estimate]:
@@ -112,7 +117,8 @@ def verdict(
 ) -> Verdict:
     """Everything that the diagnosis found, put into the answer's form."""
     model = chosen(explanation)
-    before, after = (estimates(one, explanation.temper) for one in (explanation.base.model, model))
+    before, after = estimates(explanation.base.model, explanation.temper), averaged(explanation)
+    accepted = None if model is explanation.base.model else judged(case.observation, case.held_out, predictions, gained)
     together = explanation.indistinguishable() if explanation.detected else []
     unknown = _unknown(explanation) if explanation.p_unknown > SPOKEN_OF else None
     covered = predictions["base"].coverage90 if "base" in predictions else 0.0
@@ -120,12 +126,15 @@ def verdict(
     fit |= {name: asdict(_score(prediction)) for name, prediction in predictions.items()}
     if gained is not None:
         fit["gain_log_score"] = asdict(gained)
-        fit["accepted"] = gained.accepted
+    if accepted is not None:
+        fit |= {"accepted": accepted.accepted, "accepted_because": accepted.because}
     found = [_named(explanation, k) for k in range(min(len(explanation.models), LISTED))]
     mismatch = places(explanation) if explanation.detected else []
     rest = sum(explanation.probability[LISTED:])
-    warnings = [*passed.notes, *_rim(explanation.base.model.fit)]
-    said = sentence(explanation, found, mismatch, together, unknown, gained, seen, covered)
+    base = explanation.base.model.fit
+    cornered = _rim(base)
+    warnings = [*_cornered(cornered), *passed.notes, *cornered, *_misfit(base)]
+    said = sentence(explanation, found, mismatch, together, unknown, accepted, seen, covered)
     return Verdict(
         schema=SCHEMA,
         detected=explanation.detected,
@@ -148,7 +157,7 @@ def verdict(
         invisible=seen.invisible(),
         warnings=warnings,
         notes=[*warnings, *_doubts(explanation), *_unpredicted(explanation, predictions), *case.notes],
-        sentence=said if passed.trusted else distrusted(said),
+        sentence=said if passed.trusted and not _cornered(cornered) else distrusted(said),
     )
 
 
@@ -215,6 +224,27 @@ def _rim(fit: Fit) -> list[str]:
     return [f"{name} lies on the edge of its prior in the base model, where a mismatch may hide." for name in names]
 
 
+def _cornered(on_rims: Sequence[str]) -> list[str]:
+    """What is said first of a base model that ends on several rims."""
+    if len(on_rims) < CORNERED:
+        return []
+    return [
+        f"The base model's fit ends on the edges of {len(on_rims)} priors at once: what is missing hides in its "
+        "parameters, and names that follow are rough. State wider priors, or the constants that are known."
+    ]
+
+
+def _misfit(fit: Fit) -> list[str]:
+    """Channels in which the base model leaves over more than the sensor's own noise."""
+    windows, noise = fit.simulator.windows, fit.simulator.noise
+    return [
+        f"{name}: what the base model leaves over is {times:.2g} times the sensor's own noise of "
+        f"{own:.2g} {CHANNELS[name].unit}, told by its fast scatter: misfit, not noise."
+        for name, times, own in zip(windows.channels, noise.misfit, noise.of_sensor.floor, strict=True)
+        if times > MISFIT
+    ]
+
+
 def _doubts(explanation: Explanation) -> list[str]:
     """Which of the likely explanations recordings that were held out speak against, and effects of the likeliest whose
     sizes differ between recordings."""
@@ -236,8 +266,8 @@ def _advice(explanation: Explanation, together: Sequence[tuple[str, ...]]) -> st
     return advice(*(model[effects] for effects in together[:2])) if len(together) > 1 else ""
 
 
-def _plain(estimate: Estimate) -> dict[str, float]:
-    return {"mean": estimate.mean, "std": estimate.std}
+def _plain(e: Estimate) -> dict[str, float]:
+    return {"mean": e.mean, "std": e.std, "q05": e.q05, "q95": e.q95}
 
 
 def chosen(explanation: Explanation) -> Model:

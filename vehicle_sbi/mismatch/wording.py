@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 
+from vehicle_sbi.mismatch.acceptance import Acceptance
 from vehicle_sbi.mismatch.answer import Estimate, Named, Place, Unknown, listed, quantity
 from vehicle_sbi.mismatch.candidates import null
 from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.improve import Gain
 from vehicle_sbi.mismatch.locate import Stretch, lies_in, spoken
 from vehicle_sbi.mismatch.separability import Candidate, Card
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -23,7 +23,7 @@ def sentence(
     mismatch: Sequence[Place],
     together: Sequence[Sequence[str]],
     unknown: Unknown | None,
-    gained: Gain | None,
+    accepted: Acceptance | None,
     seen: Card,
     covered: float,
 ) -> str:
@@ -45,8 +45,8 @@ def sentence(
         named += [f"{more} more {'set' if more == 1 else 'sets'} of effects"] if more else []
         said.append(f"These recordings cannot tell it from {', or '.join(named)}.")
         said.append(_whatever_else(explanation.single))
-    if gained is not None:
-        said.append(_proof(gained))
+    if accepted is not None:
+        said.append(_proof(accepted))
     return " ".join(said)
 
 
@@ -55,12 +55,10 @@ def distrusted(said: str) -> str:
     return f"The base model's fit is not to be trusted; by it, {said[0].lower()}{said[1:]}"
 
 
-def _proof(gained: Gain) -> str:
-    """Whether the extended model is to be preferred."""
-    said = f"On held-out data the extended model gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample"
-    if not gained.certain:
-        return f"{said}, which is not certain to be a gain."
-    return f"{said}, but predicts {' and '.join(gained.worse)} worse." if gained.worse else f"{said}."
+def _proof(accepted: Acceptance) -> str:
+    """Whether the extended model is to be preferred, and why."""
+    verdict = "accepted" if accepted.accepted else "not accepted"
+    return f"On held-out data the extended model is {verdict}: {accepted.because}."
 
 
 def _difference(p_value: float, mismatch: Sequence[Place]) -> str:

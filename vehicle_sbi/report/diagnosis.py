@@ -3,6 +3,7 @@
 import json
 import pickle
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -12,16 +13,17 @@ from tqdm import tqdm
 
 from vehicle_sbi.files import write_atomically, write_text
 from vehicle_sbi.mismatch.answer import Verdict, listed, quantity
+from vehicle_sbi.mismatch.base_fit import fitted, refitted
 from vehicle_sbi.mismatch.candidates import Direction, left_out
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.gate import through
+from vehicle_sbi.mismatch.full_model import full_model
+from vehicle_sbi.mismatch.gate import Gate, through
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
 from vehicle_sbi.mismatch.locate import spoken
 from vehicle_sbi.mismatch.sampled import sized
-from vehicle_sbi.mismatch.search import best
 from vehicle_sbi.mismatch.separability import Card, card
 from vehicle_sbi.mismatch.verdict import chosen, verdict
 from vehicle_sbi.report.card import LEGEND, could_show, hidden
@@ -40,7 +42,6 @@ STAGES = {
     "sizes": "how large it is",
     "posterior": "inferring it",
 }
-SCREENED, STARTS = 32, 3  # points that are simulated, and of those the ones from which the base model is fitted
 Result = TypeVar("Result")
 
 if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
@@ -55,13 +56,14 @@ def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, 
     )  # a stage has its own
     stages = len(STAGES) - 1  # the last one is in place of the one before
     with tqdm(total=stages, bar_format="{desc:<24}|{bar:20}| {elapsed}{postfix}", disable=None) as bar:
-        base, passed = _kept(folder, "fit", lambda: through(fitted(case, starts), starts), bar)
+        begun = _kept(folder, "fit", lambda: started(case, starts), bar)
+        base, passed = begun.base, begun.gate
         known = _kept(folder, "directions", lambda: left_out(base.simulator, base.theta), bar)
         seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta, known), bar)
-        found = _kept(folder, "explanation", lambda: explained(case, base, known, draws, bar.set_postfix_str), bar)
+        found = _kept(folder, "explanation", lambda: explained(case, begun, seen.visible(known), draws, bar), bar)
         searched, rounds = found, folder.path / "rounds"
         if again is None:
-            found = _kept(folder, "sizes", lambda: sized(searched, sizes), bar)
+            found = _kept(folder, "sizes", lambda: sized(searched, sizes).supported(), bar)
         else:
             found = _kept(folder, "posterior", lambda: again.of(searched, rounds), bar)
     with folder.stage("report"):
@@ -73,23 +75,26 @@ def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, 
     folder.complete()
 
 
-def fitted(case: Case, rng: np.random.Generator) -> Fit:
-    """The base model's fit, from the best of many points of its prior: at the limit most of them spin out."""
-    simulator, observed = case.observation.simulator, case.observation.observed
-    space, valid = simulator.space, simulator.windows.valid
-    points = np.concatenate(
-        [(space.low + space.high)[None] / 2, rng.uniform(space.low, space.high, (SCREENED, len(space)))]
-    )
-    off = np.where(valid, (observed - simulator.noise_free(points)) / simulator.noise.floor[:, None], 0.0)
-    misfit = np.nan_to_num(np.sum(off**2, axis=(1, 2)), nan=np.inf)
-    return best(case.observation, points[np.argsort(misfit)[:STARTS]])
+@dataclass(frozen=True)
+class Begun:
+    """The base model's fit, how far it can be trusted, and the fit with everything that could be missing in."""
+
+    base: Fit
+    gate: Gate
+    full: Fit | None
 
 
-def explained(
-    case: Case, base: Fit, known: Sequence[Direction], rng: np.random.Generator, tried: Callable[[str], None]
-) -> Explanation:
+def started(case: Case, rng: np.random.Generator) -> Begun:
+    """The base model's fit, started from many places, that of the full model among them."""
+    base = fitted(case.observation, rng)
+    full = full_model(base, left_out(base.simulator, base.theta))
+    base, passed = through(refitted(base, full), rng)
+    return Begun(base, passed, full)
+
+
+def explained(case: Case, begun: Begun, known: Sequence[Direction], rng: np.random.Generator, bar: tqdm) -> Explanation:
     """What is missing, from the recordings that are fitted and those that help to name."""
-    found = explain(base, known, rng=rng, belief=case.belief, tried=tried)
+    found = explain(begun.base, known, rng=rng, full=begun.full, belief=case.belief, tried=bar.set_postfix_str)
     return found if case.naming is None else found.foretelling(case.naming)
 
 
@@ -147,7 +152,7 @@ def write_report(
             "Answer": _paragraphs([line for line in (answer.sentence, answer.separating_experiment) if line]),
             "Explanations": in_section(html(_explanations(answer)) + _of_held_out(answer)),
             "Where": in_section(html(_places(answer))) if answer.mismatch else "<p>Nowhere beyond noise.</p>",
-            "Held out": in_section(html(_scores(answer))),
+            "Held out": in_section(html(_scores(answer))) + _accepted(answer),
             "What these recordings could have shown": in_section(html(could_show(seen)), LEGEND)
             + _paragraphs(hidden(seen)),
         },
@@ -215,6 +220,14 @@ def _scores(answer: Verdict) -> pd.DataFrame:
                 }
             )
     return pd.DataFrame(rows)
+
+
+def _accepted(answer: Verdict) -> str:
+    """Whether the extended model is accepted, and why."""
+    if "accepted" not in answer.fit:
+        return ""
+    said = "accepted" if answer.fit["accepted"] else "not accepted"
+    return _paragraphs([f"The extended model is {said}: {answer.fit['accepted_because']}."])
 
 
 def show(folder: RunFolder) -> None:
