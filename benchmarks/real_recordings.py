@@ -7,7 +7,6 @@ Runs scripts/diagnose.py as a user would, and writes results/real_recordings.md.
 
 import json
 import os
-import pickle
 import platform
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.verdict import chosen, estimates
 from vehicle_sbi.physics.effects import KNOTS
 from vehicle_sbi.physics.single_track import INPUTS
+from vehicle_sbi.report.stage_file import read
 from vehicle_sbi.report.tables import markdown
 
 RUNS = ROOT / "outputs" / "real_recordings"
@@ -55,7 +55,7 @@ def diagnosed(name: str) -> Verdict:
 def grade(name: str) -> tuple[float, float, float]:
     """Of the posterior's mean profile against the true one, over the seconds that were fitted: correlation, root mean
     square error [deg], the same without its mean."""
-    found: Explanation = pickle.loads((RUNS / name / "stages" / "sizes.pkl").read_bytes())
+    found = read(RUNS / name / "stages" / "sizes.npz", Explanation)
     model = chosen(found)
     windows, said = model.fit.simulator.windows, estimates(model, found.temper)
     fitted = windows.valid.any(axis=0)

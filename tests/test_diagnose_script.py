@@ -18,13 +18,18 @@ from conftest import ROOT
 from test_case import written
 from test_run_script import ENVIRONMENT
 from test_run_script import run as infer
+from test_stage_file import Trap
 
 from vehicle_sbi.inference.prior import parameter_space
+from vehicle_sbi.mismatch.candidates import Direction
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.gate import Gate
+from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.report.diagnosis import Begun
 from vehicle_sbi.report.extended import extended
+from vehicle_sbi.report.stage_file import read, write
 
 CHANNELS = "recording.channels=[a_x,a_y,yaw_rate]"
 BASE = ["vehicle=paper", "recording.drive=speed", CHANNELS, "++prior.steering_ratio.gain=null"]
@@ -109,18 +114,21 @@ def test_the_extended_model_is_a_configuration_of_run(run: Path, tmp_path: Path)
 def test_a_part_of_an_effect_is_inferred_alone(run: Path) -> None:
     # The same diagnosis, had it found the gradient without the lag, one of two recordings named in its own words.
     config = yaml.safe_load((run / ".hydra" / "config.yaml").read_text())
-    found: Explanation = pickle.loads((run / "stages" / "explanation.pkl").read_bytes())
+    found = read(run / "stages" / "explanation.npz", Explanation)
     (model,) = [one for one in found.models if one.effects == ("body_roll",)]
     simulator = model.fit.simulator
     part = tuple(p for p in simulator.space.parameters if p.name != "body_roll.lag")
     fit = replace(model.fit, observation=model.fit.observation.extended(replace(simulator, space=ParameterSpace(part))))
     named = config["recording"] | {"path": "other.csv", "v_min": 3.0}
     text = extended(replace(model, fit=fit), config | {"recordings": [named, "a.csv"], "effects": []})
-    read = yaml.safe_load(text)
-    assert read["prior"]["body_roll"] == {"gradient": [0.0, 0.02], "lag": None}
-    assert (read["recording"]["path"], read["recording"]["v_min"]) == (str(Path("other.csv").absolute()), 3.0)
+    written_down = yaml.safe_load(text)
+    assert written_down["prior"]["body_roll"] == {"gradient": [0.0, 0.02], "lag": None}
+    assert (written_down["recording"]["path"], written_down["recording"]["v_min"]) == (
+        str(Path("other.csv").absolute()),
+        3.0,
+    )
     assert f"#   {Path('a.csv').absolute()}\n" in text
-    space = parameter_space(read["prior"], vehicle=PAPER, model="single_track", effects=read["effects"])
+    space = parameter_space(written_down["prior"], vehicle=PAPER, model="single_track", effects=written_down["effects"])
     assert space == ParameterSpace(part)
 
 
@@ -149,8 +157,8 @@ def test_why_the_fit_may_not_be_relied_on_is_printed_first(run: Path, tmp_path: 
     # The same diagnosis, had its gate found weights with a heavy tail, as it would have gone on from there.
     folder = tmp_path / "run"
     shutil.copytree(run, folder)
-    base, _ = pickle.loads((folder / "stages" / "fit.pkl").read_bytes())
-    (folder / "stages" / "fit.pkl").write_bytes(pickle.dumps((base, Gate(0.93, 0.0))))
+    begun = read(folder / "stages" / "fit.npz", Begun)
+    write(folder / "stages" / "fit.npz", replace(begun, gate=Gate(0.93, 0.0)), Begun)
     status, out, err = goes_on(folder)
     assert status == 0, err
     warning, answer, *_ = out.splitlines()
@@ -194,6 +202,38 @@ def test_a_diagnosis_that_was_interrupted_goes_on(run: Path, tmp_path: Path) -> 
     status, _, err = goes_on(folder)
     assert status == 0, err
     assert (folder / "verdict.json").read_text() == answer
+
+
+def test_every_stage_that_was_kept_is_written_again_as_it_was_read(run: Path, tmp_path: Path) -> None:
+    # Of what is searched for the first time as of what was read, each object is once in the file.
+    kinds = {"fit": Begun, "directions": list[Direction], "separability": Card} | dict.fromkeys(
+        ("explanation", "sizes"), Explanation
+    )
+    assert {path.name for path in (run / "stages").iterdir()} == {f"{name}.npz" for name in kinds}
+    for name, kind in kinds.items():
+        path, again = run / "stages" / f"{name}.npz", tmp_path / f"{name}.npz"
+        write(again, read(path, kind), kind)
+        assert again.read_bytes() == path.read_bytes()
+
+
+def test_what_is_no_stage_is_not_run_and_its_stage_is_done_anew(run: Path, tmp_path: Path) -> None:
+    # One stage is a pickle that would write a file, of another a byte is wrong: a note of each, and the same answer.
+    folder, sprung = tmp_path / "run", tmp_path / "sprung"
+    shutil.copytree(run, folder)
+    answer = (folder / "verdict.json").read_text()
+    (folder / "verdict.json").unlink()
+    (folder / "stages" / "directions.npz").write_bytes(pickle.dumps(Trap(sprung)))
+    damaged = bytearray((folder / "stages" / "sizes.npz").read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    (folder / "stages" / "sizes.npz").write_bytes(damaged)
+    status, _, err = goes_on(folder)
+    assert status == 0, err
+    assert not sprung.exists()
+    assert (folder / "verdict.json").read_text() == answer
+    notes = [line for line in (folder / "log.txt").read_text().splitlines() if line.endswith("is done anew")]
+    assert len(notes) == 2
+    for name in ("directions", "sizes"):
+        assert (folder / "stages" / f"{name}.npz").read_bytes() == (run / "stages" / f"{name}.npz").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,8 @@ mismatch.loose mismatch.latent mismatch.repertoire mismatch.beyond mismatch.exam
 mismatch.agreement mismatch.explanation mismatch.unnamed mismatch.explain mismatch.sampled mismatch.reinfer
 mismatch.experiment mismatch.improve mismatch.acceptance mismatch.answer mismatch.model_average mismatch.wording
 mismatch.verdict
-report.run_folder report.tables report.density report.figures report.mismatch_figures report.catalogue report.page
-report.card report.extended report.results report.diagnosis
+report.run_folder report.stage_file report.tables report.density report.figures report.mismatch_figures
+report.catalogue report.page report.card report.extended report.results report.diagnosis
 report.observability report.autoware
 """.split()
 RANK = {f"vehicle_sbi.{name}": rank for rank, name in enumerate(ORDER)}

@@ -244,7 +244,7 @@ def test_proportional_noise_needs_a_floor_since_signals_cross_zero() -> None:
 def ar1_series(rho: float, n: int, rng: np.random.Generator) -> np.ndarray:
     unit = rng.standard_normal(n) * np.sqrt(1.0 - rho**2)
     unit[0] /= np.sqrt(1.0 - rho**2)
-    return lfilter([1.0], [1.0, -rho], unit)
+    return np.asarray(lfilter([1.0], [1.0, -rho], unit))
 
 
 def as_windows(y: np.ndarray, rate: float) -> Windows:

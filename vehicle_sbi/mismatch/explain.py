@@ -114,7 +114,7 @@ def explain(
             break
         best = examine(named[0], repertoire, rng)
         unnamed += beside(best, base.simulator.space)
-    sizes = frozenset(d.parameter.name for d in known)
+    sizes = tuple(sorted({d.parameter.name for d in known}))
     return Explanation(named, unnamed, first, best, belief, sizes=sizes).supported()
 
 

@@ -44,7 +44,7 @@ class Explanation:
     best: Examined
     belief: Belief
     p_told: float | None = None
-    sizes: frozenset[str] = frozenset()
+    sizes: tuple[str, ...] = ()
 
     def foretelling(self, further: Observation) -> "Explanation":
         """With what further recordings say of each model; as it is where the base model fails there.

@@ -1,17 +1,18 @@
 """A diagnosis from recordings to what a user takes away: verdict.json, extended.yaml, pictures, one page."""
 
 import json
-import pickle
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from vehicle_sbi.files import write_atomically, write_text
+from vehicle_sbi.files import write_text
 from vehicle_sbi.mismatch.answer import Verdict, listed, quantity
 from vehicle_sbi.mismatch.base_fit import fitted, refitted
 from vehicle_sbi.mismatch.candidates import Direction, left_out
@@ -31,6 +32,8 @@ from vehicle_sbi.report.extended import extended
 from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
 from vehicle_sbi.report.page import in_section, write_page
 from vehicle_sbi.report.run_folder import RunFolder
+from vehicle_sbi.report.stage_file import StageFileError, read
+from vehicle_sbi.report.stage_file import write as write_stage
 from vehicle_sbi.report.tables import html
 from vehicle_sbi.rng import Stream, generator
 
@@ -44,6 +47,8 @@ STAGES = {
 }
 Result = TypeVar("Result")
 
+_log = logging.getLogger(__name__)
+
 if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
     from vehicle_sbi.mismatch.reinfer import Reinference
 
@@ -56,16 +61,17 @@ def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, 
     )  # a stage has its own
     stages = len(STAGES) - 1  # the last one is in place of the one before
     with tqdm(total=stages, bar_format="{desc:<24}|{bar:20}| {elapsed}{postfix}", disable=None) as bar:
-        begun = _kept(folder, "fit", lambda: started(case, starts), bar)
+        begun = _kept(folder, "fit", Begun, lambda: started(case, starts), bar)
         base, passed = begun.base, begun.gate
-        known = _kept(folder, "directions", lambda: left_out(base.simulator, base.theta), bar)
-        seen = _kept(folder, "separability", lambda: card(base.simulator, base.theta, known), bar)
-        found = _kept(folder, "explanation", lambda: explained(case, begun, seen.visible(known), draws, bar), bar)
+        known = _kept(folder, "directions", list[Direction], lambda: left_out(base.simulator, base.theta), bar)
+        seen = _kept(folder, "separability", Card, lambda: card(base.simulator, base.theta, known), bar)
+        showing = seen.visible(known)
+        found = _kept(folder, "explanation", Explanation, lambda: explained(case, begun, showing, draws, bar), bar)
         searched, rounds = found, folder.path / "rounds"
         if again is None:
-            found = _kept(folder, "sizes", lambda: sized(searched, sizes).supported(), bar)
+            found = _kept(folder, "sizes", Explanation, lambda: sized(searched, sizes).supported(), bar)
         else:
-            found = _kept(folder, "posterior", lambda: again.of(searched, rounds), bar)
+            found = _kept(folder, "posterior", Explanation, lambda: again.of(searched, rounds), bar)
     with folder.stage("report"):
         predictions, gained = proved(case, found)
         answer = verdict(case, passed, found, predictions, gained, seen)
@@ -109,16 +115,28 @@ def proved(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gain 
     return predictions, gain(**predictions) if len(predictions) == 2 else None
 
 
-def _kept(folder: RunFolder, name: str, compute: Callable[[], Result], bar: tqdm) -> Result:
+def _kept(folder: RunFolder, name: str, kind: type[Result], compute: Callable[[], Result], bar: tqdm) -> Result:
     """A stage's result, from its file where the stage is done."""
-    path = folder.path / "stages" / f"{name}.pkl"
+    path = folder.path / "stages" / f"{name}.npz"
     bar.set_description_str(STAGES[name])
-    if not path.exists():
+    if (result := _done(path, kind)) is None:
         with folder.stage(name):
             result = compute()
-        write_atomically(path, lambda file: pickle.dump(result, file))
+        write_stage(path, result, kind)
+        result = read(path, kind)  # what goes on from here has nothing but what another start would have
     bar.update()
-    return pickle.loads(path.read_bytes())
+    return result
+
+
+def _done(path: Path, kind: type[Result]) -> Result | None:
+    """What a stage's file holds; None where there is none, or none of this version."""
+    if not path.exists():
+        return None
+    try:
+        return read(path, kind)
+    except StageFileError as error:
+        _log.warning("%s; the stage is done anew", error)
+        return None
 
 
 def write(folder: RunFolder, found: Explanation, answer: Verdict) -> None:
