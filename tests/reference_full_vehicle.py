@@ -14,7 +14,23 @@ with the moments of both about the ground, whose balance gives the vertical load
 import math
 
 import numpy as np
-from reference_single_track import Car, G, at, axles, downforce, mass, outer_forces, tyre, weight, yaw_inertia
+from reference_single_track import (
+    Car,
+    G,
+    at,
+    axles,
+    downforce,
+    friction,
+    implied_pulls,
+    levels,
+    mass,
+    outer_forces,
+    pulled_tyre,
+    relaxation_lengths,
+    tyre,
+    weight,
+    yaw_inertia,
+)
 from scipy.optimize import root
 
 V_X, V_Y, R, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(7)
@@ -89,18 +105,22 @@ def wheel_slips(c: Car, drive: str, state: np.ndarray, delta: float, F_z: np.nda
 
 
 def tyre_forces(
-    c: Car, mu: float, drive: str, state: np.ndarray, delta: float, F_z: np.ndarray
+    c: Car, mu: float, drive: str, state: np.ndarray, delta: float, F_z: np.ndarray, pulls: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """F_x, F_y [N] of every wheel in its own axes."""
+    """F_x, F_y [N] of every wheel in its own axes; pulls of the axles where the speed is given."""
     kappa, alpha = wheel_slips(c, drive, state, delta, F_z)
-    if math.isfinite(c["K"]):
-        kappa, alpha = state[11:15], state[15:19]
+    lagging = np.repeat(relaxation_lengths(c), 2) > 0.0
+    kappa, alpha = np.where(lagging, state[11:15], kappa), np.where(lagging, state[15:19], alpha)
+    stiff, slide = np.repeat(levels(c, "stiffness_level"), 2), np.repeat(friction(c), 2)
     (l_f, l_r), N, a_y = axles(c), weight(c), state[V_X] * state[R]
     F = []
     for i, axle in enumerate("ffrr"):
-        C = c[f"C_kappa_{axle}"] / 2.0, c[f"C_alpha_{axle}"] / 2.0
-        static = N * (l_r if axle == "f" else l_f) / c["L"] / 2.0
-        F.append(tyre(c, C, mu, float(F_z[i]), static, (float(kappa[i]), float(alpha[i])), a_y))
+        C = stiff[i] * c[f"C_kappa_{axle}"] / 2.0, stiff[i] * c[f"C_alpha_{axle}"] / 2.0
+        static, mu_i = N * (l_r if axle == "f" else l_f) / c["L"] / 2.0, mu * slide[i]
+        if drive == "speed":
+            F.append(pulled_tyre(c, C[1], mu_i, float(F_z[i]), static, pulls[i // 2] / 2.0, float(alpha[i]), a_y))
+        else:
+            F.append(tyre(c, C, mu_i, float(F_z[i]), static, (float(kappa[i]), float(alpha[i])), a_y))
     x, y = np.array(F).T
     return x, y
 
@@ -113,10 +133,11 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     g = np.array([now.g_x, G * math.sin(c["road_bank_angle"])])
     push_x, push_y, moment = outer_forces(c, now, v_x)
     straight = u[0] + c["roll_steer_coefficient"] * v_x * r
+    pulls = implied_pulls(c, now, v_x, r, u[0], u[4] - v_y * r)
 
     def tyres_at(a: np.ndarray, lean: np.ndarray, delta: float) -> tuple[np.ndarray, ...]:
         F_z = loads(c, g, state, a, lean)
-        F_x, F_y = tyre_forces(c, now.mu, drive, state, delta, F_z)
+        F_x, F_y = tyre_forces(c, now.mu, drive, state, delta, F_z, pulls)
         turned = np.array([delta, delta, 0.0, 0.0])
         along = F_x * np.cos(turned) - F_y * np.sin(turned)
         return along, F_x * np.sin(turned) + F_y * np.cos(turned), F_x, F_y
@@ -151,8 +172,8 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     if drive == "torque":
         inertia, torque = np.repeat([c["I_wf"], c["I_wr"]], 2) / 2.0, np.repeat(u[1:3], 2) / 2.0
         out[7:11] = (torque - F_x * effective_radii(c, F_z)) / inertia
-    if math.isfinite(c["K"]):
-        kappa, alpha = wheel_slips(c, drive, state, delta, F_z)
-        fade = (v_x - r * y) * c["K"] / (c["relaxation_factor"] * np.repeat([c["C_alpha_f"], c["C_alpha_r"]], 2))
-        out[11:15], out[15:19] = fade * (kappa - state[11:15]), fade * (alpha - state[15:19])
+    kappa, alpha = wheel_slips(c, drive, state, delta, F_z)
+    lengths = np.repeat(relaxation_lengths(c), 2)
+    fade = np.where(lengths > 0.0, (v_x - r * y) / np.maximum(lengths, 1e-12), 0.0)
+    out[11:15], out[15:19] = fade * (kappa - state[11:15]), fade * (alpha - state[15:19])
     return out

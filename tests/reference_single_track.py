@@ -155,8 +155,40 @@ def tyre(
     if size == 0.0 or grip == 0.0:
         return float(F[0]), float(F[1])
     z = size / grip / (1.0 + kappa)
-    F += c["tyre_curve_peak"] * (math.sin(1.5 * math.atan(z / 1.5)) * grip * demand / size - F)
+    blend = np.array([c["tyre_curve_longitudinal"], c["tyre_curve_peak"]])
+    F += blend * (math.sin(1.5 * math.atan(z / 1.5)) * grip * demand / size - F)
     return float(F[0]), float(F[1])
+
+
+def pulled_tyre(
+    c: Car, C_alpha: float, mu: float, F_z: float, static: float, F_x: float, alpha: float, a_y: float
+) -> tuple[float, float]:
+    """F_x, F_y [N] where the longitudinal force is given: the demand X with X f(X, D) = F_x, small slip."""
+    stiffer = max(1.0 + c["load_sensitivity_coefficient"] * (F_z - static) / static, 0.05)
+    D = C_alpha * stiffer * max(1.0 - c["lateral_load_transfer_coefficient"] * a_y**2, 0.05) * math.tan(alpha)
+    grip = mu * max(F_z, 0.0)
+    F_x = float(np.clip(F_x, -0.99 * grip, 0.99 * grip))
+
+    def share(X: float) -> float:
+        S = math.hypot(X, D)
+        return 1.0 if grip / 2.0 >= S else grip / S - (grip / S) ** 2 / 4.0
+
+    X = abs(F_x)
+    if X > 0.0 and share(X) < 1.0:
+        X = root(lambda x: x * share(x) - abs(F_x), 0.0, 1e3 * (grip + abs(D)))
+    F_y, S = D * share(X), math.hypot(X, D)
+    if S > 0.0 and grip > 0.0:
+        F_y += c["tyre_curve_peak"] * (math.sin(1.5 * math.atan(S / grip / 1.5)) * grip / S * D - F_y)
+    return F_x, F_y
+
+
+def implied_pulls(c: Car, now: Moment, v_x: float, r: float, command: float, a_x: float) -> tuple[float, float]:
+    """Longitudinal forces of the axles [N] that an acceleration implies; cornering drag as in a steady turn."""
+    delta = command + c["roll_steer_coefficient"] * v_x * r
+    holding = mass(c) * v_x * r * axles(c)[1] / c["L"] * math.sin(delta)
+    total = mass(c) * a_x + holding - outer_forces(c, now, v_x)[0]
+    front = c["drive_front"] if total > 0.0 else np.clip(c["brake_front"] + c["brake_balance_shift"], 0.0, 1.0)
+    return float(front * total), float(total - front * total)
 
 
 def effective_radius(c: Car, F_z: float, axle: str) -> float:
@@ -166,8 +198,13 @@ def effective_radius(c: Car, F_z: float, axle: str) -> float:
 
 
 def relaxation_lengths(c: Car) -> tuple[float, float]:
-    """Equation 11's sigma [m] of both axles, times a factor."""
-    return c["relaxation_factor"] * c["C_alpha_f"] / c["K"], c["relaxation_factor"] * c["C_alpha_r"] / c["K"]
+    """Equation 11's sigma [m] of both axles, and what is added to it."""
+    return c["C_alpha_f"] / c["K"] + c["relaxation_front"], c["C_alpha_r"] / c["K"] + c["relaxation_rear"]
+
+
+def levels(c: Car, effect: str) -> tuple[float, float]:
+    """Factors of an effect on both axles."""
+    return c[f"{effect}_factor"] * c[f"{effect}_front"], c[f"{effect}_factor"] * c[f"{effect}_rear"]
 
 
 # --- equations of motion --------------------------------------------------------------------------------------------
@@ -193,18 +230,30 @@ def slips(c: Car, state: np.ndarray, delta: float, loads: tuple[float, float]) -
     return (rolling_f - V_f) / max(rolling_f, V_f), (rolling_r - V_r) / max(rolling_r, V_r)
 
 
-def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, a_x: float) -> Forces:
-    """The forces if the front wheels stand at delta and the car accelerates with a_x."""
+def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, a_x: float, command: float) -> Forces:
+    """The forces if the front wheels stand at delta, commanded another angle, and the car accelerates with a_x."""
     loads = axle_loads(c, now, a_x, state[0])
-    if math.isfinite(c["K"]):
-        kappa_f, kappa_r, alpha_f, alpha_r = (float(x) for x in state[5:9])
-    else:
-        alpha_f, alpha_r = slip_angles(c, state, delta)
-        kappa_f, kappa_r = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
+    alphas = slip_angles(c, state, delta)
+    kappas = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
+    lagging = [sigma > 0.0 for sigma in relaxation_lengths(c)]
+    kappas = [float(state[5 + i]) if lags else kappas[i] for i, lags in enumerate(lagging)]
+    alphas = [float(state[7 + i]) if lags else alphas[i] for i, lags in enumerate(lagging)]
     (l_f, l_r), N, a_y = axles(c), weight(c), state[0] * state[2]
-    front = tyre(c, (c["C_kappa_f"], c["C_alpha_f"]), now.mu, loads[0], N * l_r / c["L"], (kappa_f, alpha_f), a_y)
-    rear = tyre(c, (c["C_kappa_r"], c["C_alpha_r"]), now.mu, loads[1], N * l_f / c["L"], (kappa_r, alpha_r), a_y)
-    return Forces(*front, *rear)
+    statics, stiff, slide = (N * l_r / c["L"], N * l_f / c["L"]), levels(c, "stiffness_level"), friction(c)
+    pulls = implied_pulls(c, now, state[0], state[2], command, a_x)
+    found = []
+    for i, axle in enumerate("fr"):
+        C, mu = (stiff[i] * c[f"C_kappa_{axle}"], stiff[i] * c[f"C_alpha_{axle}"]), now.mu * slide[i]
+        if drive == "speed":
+            found += pulled_tyre(c, C[1], mu, loads[i], statics[i], pulls[i], alphas[i], a_y)
+        else:
+            found += tyre(c, C, mu, loads[i], statics[i], (kappas[i], alphas[i]), a_y)
+    return Forces(*found)
+
+
+def friction(c: Car) -> tuple[float, float]:
+    """What each axle's friction is off by, beyond what both are."""
+    return c["friction_level_front"], c["friction_level_rear"]
 
 
 def steered(c: Car, now: Moment, drive: str, state: np.ndarray, command: float, a_x: float) -> float:
@@ -216,7 +265,7 @@ def steered(c: Car, now: Moment, drive: str, state: np.ndarray, command: float, 
     most = coefficient * 3.0 * (abs(axle_loads(c, now, a_x, state[0])[0]) + 1.0)  # no friction coefficient reaches 3
 
     def excess(delta: float) -> float:
-        return delta - straight + coefficient * tyre_forces(c, now, drive, state, delta, a_x).y_f
+        return delta - straight + coefficient * tyre_forces(c, now, drive, state, delta, a_x, command).y_f
 
     return root(excess, straight - most, straight + most)
 
@@ -229,7 +278,7 @@ def longitudinal_acceleration(c: Car, now: Moment, drive: str, state: np.ndarray
 
     def excess(a_x: float) -> float:
         delta = steered(c, now, drive, state, u[0], a_x)
-        F = tyre_forces(c, now, drive, state, delta, a_x)
+        F = tyre_forces(c, now, drive, state, delta, a_x, u[0])
         return (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r + x) / mass(c) - a_x
 
     return root(excess, -100.0, 100.0)
@@ -240,7 +289,7 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     (v_x, v_y, r), now = state[:3], at(c, u[7], u[8])
     a_x = longitudinal_acceleration(c, now, drive, state, u)
     delta = steered(c, now, drive, state, u[0], a_x)
-    F, (_, y, turn) = tyre_forces(c, now, drive, state, delta, a_x), outer_forces(c, now, v_x)
+    F, (_, y, turn) = tyre_forces(c, now, drive, state, delta, a_x, u[0]), outer_forces(c, now, v_x)
     sideways_f, (l_f, l_r) = F.x_f * math.sin(delta) + F.y_f * math.cos(delta), axles(c)
     loads, a_y = axle_loads(c, now, a_x, v_x), (sideways_f + F.y_r + y) / mass(c)
     out = np.zeros(9)
@@ -248,10 +297,10 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     if drive == "torque":
         R_f, R_r = effective_radius(c, loads[0], "front"), effective_radius(c, loads[1], "rear")
         out[3:5] = (u[1] - F.x_f * R_f) / c["I_wf"], (u[2] - F.x_r * R_r) / c["I_wr"]
-    if math.isfinite(c["K"]):
-        kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
-        lag = v_x / np.array(relaxation_lengths(c) * 2)
-        out[5:] = lag * (np.array([*kappa, *slip_angles(c, state, delta)]) - state[5:])
+    kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
+    lengths = np.array(relaxation_lengths(c) * 2)
+    lag = np.where(lengths > 0.0, v_x / np.maximum(lengths, 1e-12), 0.0)
+    out[5:] = lag * (np.array([*kappa, *slip_angles(c, state, delta)]) - state[5:])
     return out
 
 

@@ -92,13 +92,15 @@ def fastest_eigenvalues(model: str, drive: str, relaxed: bool, C_vert: float) ->
     for _ in range(200):
         records = car_anywhere(rng, model)
         records["K"] = rng.uniform(5e4, 6e5) if relaxed else math.inf
-        records["relaxation_factor"] = rng.uniform(0.2, 3.0)
+        records["relaxation_front"], records["relaxation_rear"] = rng.uniform(0.0, 1.0, 2) if relaxed else (0.0, 0.0)
         records["wheel_radius_front"], records["wheel_radius_rear"] = rng.uniform(0.9, 1.1, 2)
         records["payload_mass"] = rng.uniform(0.0, 500.0)
         records["C_vert"] = C_vert
         v_x = rng.uniform(1.1, 60.0)
+        bound = fastest_rate(records[0], drive, v_x, model)
+        records["step"] = 1.0 / bound  # the integrator's, on which the least length that lags depends
         values = np.linalg.eigvals(jacobian_of(records, drive, v_x, FREE[model, drive], step=1e-6, model=model))
-        rows.append((np.abs(values).max(), fastest_rate(records[0], drive, v_x, model)))
+        rows.append((np.abs(values).max(), bound))
     return np.array(rows)
 
 

@@ -351,10 +351,10 @@ def test_stiffness_follows_load_and_turning() -> None:
     assert soft == pytest.approx(80.0 * (1.0 - 0.01 * 25.0), rel=8 * EPS)
 
 
-def test_relaxation_stretches_the_relaxation_length() -> None:
-    p = record_of(PAPER, relaxation_factor=2.5)[0]
+def test_relaxation_adds_to_the_relaxation_length() -> None:
+    p = record_of(PAPER, relaxation_front=0.3, relaxation_rear=0.1)[0]
     derive(p)
-    assert (p["sigma_f"], p["sigma_r"]) == (2.5 * 6e4 / 1.5e5, 2.5 * 6e4 / 1.5e5)
+    assert (p["sigma_f"], p["sigma_r"]) == (6e4 / 1.5e5 + 0.3, 6e4 / 1.5e5 + 0.1)
 
 
 def test_larger_wheels_turn_slower() -> None:

@@ -22,13 +22,18 @@ from cars import (
     paper_manoeuvre,
     rate_of,
     record_of,
+    simulate,
     smooth_inputs,
 )
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, derive
-from vehicle_sbi.physics.simulation import substeps_for
+from vehicle_sbi.physics.sensors import MEASUREMENTS
+from vehicle_sbi.physics.simulation import FINISHED, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS, STATES, start
+from vehicle_sbi.physics.tyre import dugoff_side
 from vehicle_sbi.physics.vehicle import GENERIC_PRIORS
 
 A_X, A_Y, R, OMEGA_F, OMEGA_R, V_X, V_Y = range(7)  # of the rows of MEASUREMENTS
@@ -313,3 +318,95 @@ def test_free_wheels_roll_in_their_own_plane() -> None:
     along = [reference.wheel_plane_speed(c, x, delta) for x, delta in zip(states, u[:, 0], strict=True)]
     assert y[OMEGA_F] == pytest.approx(np.array(along) / R_f, rel=16 * EPS)
     assert y[OMEGA_R] == pytest.approx(y[V_X] / R_r, rel=16 * EPS)
+
+
+NO_CARCASS = replace(PAPER, K=math.inf, C_vert=math.inf)  # a file that states neither, as real ones do
+
+
+def side_slip_force(length: float, v: float, substeps: int, seconds: float = 1.0) -> np.ndarray:
+    """Yaw rate [rad/s] after a sudden small steering angle at speed v, of a car whose tyres relax over a length."""
+    u = coasting(v, seconds, rate=100.0)
+    u[1:, 0] = 1e-3
+    records = record_of(NO_CARCASS, relaxation_front=length, relaxation_rear=length)
+    y, outcomes = simulate(records, "speed", u, (v, 0.0, 0.0), rate=100.0, substeps=substeps)
+    assert outcomes.tolist() == [FINISHED]
+    return y[0, MEASUREMENTS.index("yaw_rate")]
+
+
+def test_relaxation_acts_with_a_vehicle_file_that_has_no_carcass_stiffness() -> None:
+    # The front force is 63.2 % of its own after half a metre has been rolled (the rear has none yet): r' = l_f F / I_z.
+    p, v = record_of(NO_CARCASS, relaxation_front=0.5, relaxation_rear=0.5), 10.0
+    derive(p[0])
+    state, u = np.zeros(9), np.zeros(len(INPUTS))
+    state[0], u[3], u[0] = v, v, 1e-3
+    lagging = rate_of(p, "speed", state, u)
+    assert lagging[7] == pytest.approx(v / 0.5 * 1e-3)  # d(alpha^)/dt = v/sigma (alpha - alpha^)
+    state[7] = (1.0 - math.exp(-1.0)) * 1e-3
+    reached = rate_of(p, "speed", state, u)[2]
+    state[7] = 1e-3
+    assert reached / rate_of(p, "speed", state, u)[2] == pytest.approx(1.0 - math.exp(-1.0), rel=1e-5)
+
+
+def test_relaxation_sets_in_continuously_and_in_proportion() -> None:
+    # Lengths below and above the least one that lags as it is, 0.5 v h = 12.5 mm: the change is linear to first order.
+    none = side_slip_force(0.0, 10.0, 4)
+    small, twice = (side_slip_force(length, 10.0, 4) - none for length in (2e-4, 4e-4))
+    np.testing.assert_allclose(twice, 2.0 * small, atol=0.03 * np.abs(twice).max())
+    below, above = (side_slip_force(0.0125 * factor, 10.0, 4) for factor in (1.0 - 1e-6, 1.0 + 1e-6))
+    np.testing.assert_allclose(below, above, atol=1e-5 * np.abs(above).max())
+
+
+@pytest.mark.parametrize("v", [1.5, 10.0, 60.0])
+@pytest.mark.parametrize("length", [1e-3, 1e-2, 0.1, 1.0])
+def test_relaxation_of_any_length_is_stable_in_steps_that_suit_the_car_without(v: float, length: float) -> None:
+    # As many steps as the car without relaxation takes: it settles where that one does.
+    records = record_of(NO_CARCASS)
+    substeps = substeps_for(records, "speed", v, 100.0)
+    with_it, without = (side_slip_force(one, v, substeps, seconds=8.0) for one in (length, 0.0))
+    assert np.abs(with_it).max() < 3.0 * np.abs(without).max()
+    assert with_it[-1] == pytest.approx(without[-1], rel=0.01)
+
+
+# --- the longitudinal force that a given speed implies --------------------------------------------------------------
+
+
+def test_the_speed_implies_a_longitudinal_force_that_takes_its_part_of_the_grip() -> None:
+    """Braking takes side force from the axle that brakes, by Dugoff's law, and none below half the grip."""
+    grip, demand = 4000.0, 2500.0
+    free, S = dugoff_side(0.0, demand, grip)
+    assert (free, S) == (pytest.approx(grip - grip**2 / (4.0 * demand)), pytest.approx(demand))
+    for F_x in (500.0, 1500.0, 3000.0, -3000.0):
+        F_y, S = dugoff_side(F_x, demand, grip)
+        assert math.hypot(F_x, F_y) == pytest.approx(grip - grip**2 / (4.0 * S), rel=1e-9)  # on Dugoff's curve
+        assert F_y / demand == pytest.approx(math.hypot(F_x, F_y) / S, rel=1e-9)  # along the demand
+        assert 0.0 < F_y < free
+    assert dugoff_side(1000.0, 1000.0, grip)[0] == 1000.0
+
+
+@given(st.floats(-0.99, 0.99), st.floats(-1e6, 1e6), st.floats(1e-3, 1e5))
+def test_a_given_longitudinal_force_leaves_a_finite_side_force_within_the_grip(x: float, D: float, grip: float) -> None:
+    F_y, S = dugoff_side(x * grip, D, grip)
+    assert math.isfinite(F_y)
+    assert math.isfinite(S)
+    assert math.hypot(x * grip, F_y) <= grip * (1.0 + 1e-9)
+    assert F_y * D >= 0.0
+
+
+@pytest.mark.parametrize("torques", [(600.0, 0.0), (-700.0, -500.0)])
+def test_a_drive_by_torque_is_followed_by_its_speed_alone(torques: tuple[float, float]) -> None:
+    # Stiff tyres, so that slips stay below 2 %; drive and brake shares as the torques have them. Dugoff's (1 + kappa)
+    # and the wheels' inertia, which the speed knows nothing of, are what differs: of the order of the slip.
+    car = replace(PAPER, K=math.inf, C_vert=math.inf, C_kappa_f=4e5, C_kappa_r=4e5, mu=0.7, I_wf=0.5, I_wr=0.5)
+    share = torques[0] / sum(torques)
+    records = record_of(replace(car, drive_front=share, brake_front=share))
+    u = coasting(18.0, 2.0)
+    u[:, 0] = 0.05 * np.sin(math.pi * u[:, 7])
+    u[:, 1], u[:, 2] = torques
+    y, _ = simulate(records, "torque", u, (18.0, 0.0, 0.0), substeps=40)
+    names = [MEASUREMENTS.index(name) for name in ("v_x", "yaw_rate", "a_y")]
+    v_x, yaw_rate, a_y = y[0, names]
+    driven = u.copy()
+    driven[:, 3], driven[:, 4] = v_x, np.gradient(v_x, 1.0 / RATE, edge_order=2)
+    followed, _ = simulate(records, "speed", driven, (18.0, 0.0, 0.0), substeps=8)
+    for of, channel in ((yaw_rate, names[1]), (a_y, names[2])):
+        np.testing.assert_allclose(followed[0, channel], of, atol=0.02 * np.abs(of).max())

@@ -169,7 +169,7 @@ class Twin:
         m = car.m + load
         l_f = car.l_f - load * place / m
         inertia = (car.I_z or car.m * car.l_f * (car.L - car.l_f)) * of("yaw_inertia", "factor", 1.0)
-        stretch, lever = of("relaxation", "factor", 1.0), 0.85 * car.m * (car.h_cog - 0.1)
+        lever = 0.85 * car.m * (car.h_cog - 0.1)
         K_phi = lever * GRAVITY + lever / 0.006  # 0.006 rad of roll per m/s^2
         J_phi = 0.35 * car.m + lever * (car.h_cog - 0.1)
         p = np.zeros(1, CAR)
@@ -179,7 +179,8 @@ class Twin:
             "m": m, "l_f": l_f, "l_r": car.L - l_f, "I_z": inertia + car.m * load / m * place**2, "track": 1.55,
             "mu": car.mu, "R_f": car.R_f * of("wheel_radius", "front", 1.0),
             "R_r": car.R_f * of("wheel_radius", "rear", 1.0), "softness": 1.0 / car.C_vert,
-            "sigma_f": stretch * car.C_alpha_f / car.K, "sigma_r": stretch * car.C_alpha_r / car.K,
+            "sigma_f": car.C_alpha_f / car.K + of("relaxation", "front"),
+            "sigma_r": car.C_alpha_r / car.K + of("relaxation", "rear"),
             "C": self.C, "E": self.E, "lever": lever, "K_phi": K_phi, "J_phi": J_phi,
             "D_phi": 0.6 * math.sqrt(K_phi * J_phi), "front": 0.55,
             "drag_area": of("aero_drag", "area"), "lift_area": of("downforce", "area"),

@@ -79,7 +79,7 @@ def settled(forces, p, car, a_x: float, a_y: float):
     and the front axle's side force F_yf; a_x and a_y on entry are the guess from which the loop starts. Compliant
     wheels are solved for with the tyre's slope at the origin. NaN if the loop does not end.
     """
-    slope = 1.0 + (0.0 if car.relaxed else steering_compliance(p, p.C_alpha_f))
+    slope = 1.0 + (1.0 - car.share_f) * steering_compliance(p, p.stiff_f * p.C_alpha_f)
     front, twist, iteration = pointing(car.outside.delta), 0.0, 0
     before_x = before_y = before_turn = led_x = led_y = led_twist = 0.0
     while True:

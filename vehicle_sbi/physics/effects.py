@@ -14,12 +14,14 @@ import numpy as np
 
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.tyre import dugoff
+from vehicle_sbi.physics.tyre import dugoff, dugoff_side
 from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle
 
 EDGE = 0.1  # [s] over which what begins or ends at a moment does so
 KNOTS = 12  # of a profile over the recording, equally spaced
 LEAST_STIFFNESS = 0.05  # share of a stiffness that no load and no acceleration takes away
+LEAST_LAG = 0.5  # of the way that a wheel rolls in a step of the integrator, the least length that lags as it is
+MOST_GRIP = 0.99  # share of the grip that a given longitudinal force takes, at most
 PEAK_SHAPE = 1.5  # C of the magic formula that the tyre curve blends into
 DEAD_TIME = "pure dead time"
 RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and Vehicle Dynamics"
@@ -64,9 +66,9 @@ CATALOGUE: Mapping[str, Effect] = {
     for effect in (
         # command to wheels
         _effect("steering_delay", "command", "the wheels follow the steering command later",
-                "delta(t) = command(t - time)", DEAD_TIME, time=("s", 0.0, 0.3, 0.0)),
+                "delta(t) = command(t - time)", DEAD_TIME, time=("s", 0.0, 0.5, 0.0)),
         _effect("steering_lag", "command", "the wheels follow the steering command as a first-order lag",
-                "time d(delta)/dt = command - delta", "first-order actuator", time=("s", 0.0, 0.5, 0.0)),
+                "time d(delta)/dt = command - delta", "first-order actuator", time=("s", 0.0, 1.0, 0.0)),
         _effect("steering_dead_band", "command", "play in the steering, full width",
                 "delta stays until the command is width/2 away, then follows at that distance",
                 "the play operator of backlash", width=("rad", 0.0, 0.03, 0.0)),
@@ -114,13 +116,19 @@ CATALOGUE: Mapping[str, Effect] = {
         _effect("payload", "force", "load ahead of the empty car's centre of gravity",
                 "m, l_f and I_z of the two together", "parallel-axis theorem",
                 mass=("kg", 0.0, 500.0, 0.0), x=("m", -1.5, 1.5, 0.0)),
-        _effect("yaw_inertia", "force", "yaw inertia over m l_f l_r", "I_z = factor m l_f l_r", "the paper, sec. II-A",
+        _effect("yaw_inertia", "force", "yaw inertia over the vehicle file's I_z, or m l_f l_r where it states none",
+                "I_z = factor I_z,vehicle (m l_f l_r without one)", "the paper, sec. II-A",
                 factor=("1", 0.7, 1.5, 1.0)),
         _effect("yaw_moment", "force", "constant moment about the vertical axis", "M_z = moment", "Newton and Euler",
                 moment=("N m", -1500.0, 1500.0, 0.0)),
         # tyres
-        _effect("friction_level", "tyre", "friction coefficient over the vehicle's", "mu = factor mu_vehicle",
-                "Dugoff's mu", factor=("1", 0.3, 1.3, 1.0)),
+        _effect("friction_level", "tyre", "friction coefficient over the vehicle's, of both axles or of one",
+                "mu_axle = factor factor_axle mu_vehicle", "Dugoff's mu",
+                factor=("1", 0.3, 1.3, 1.0), front=("1", 0.5, 1.5, 1.0), rear=("1", 0.5, 1.5, 1.0)),
+        _effect("stiffness_level", "tyre", "tyre stiffnesses over the vehicle's, of both axles or of one",
+                "C_axle = factor factor_axle C_vehicle, cornering and longitudinal alike",
+                f"{PACEJKA}, ch. 1: tread, pressure and temperature",
+                factor=("1", 0.5, 1.6, 1.0), front=("1", 0.5, 1.6, 1.0), rear=("1", 0.5, 1.6, 1.0)),
         _effect("friction_step", "tyre", "another friction coefficient for a while",
                 "mu = factor mu_vehicle from start on for duration", "Dugoff's mu",
                 factor=("1", 0.3, 1.3, 1.0), start=("s", 0.0, 5.0, 0.0), duration=("s", 0.0, 5.0, 0.0)),
@@ -131,10 +139,12 @@ CATALOGUE: Mapping[str, Effect] = {
                 "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2)", f"{PACEJKA}, ch. 1",
                 coefficient=("1/(m/s^2)^2", 0.0, 0.01, 0.0)),
         _effect("tyre_curve", "tyre", "tyre forces peak and fall, instead of saturating",
-                "F = F_Dugoff + peak (sin(3/2 atan(2/3 z)) mu F_z - F_Dugoff), z = demand over grip",
-                f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0)),
-        _effect("relaxation", "tyre", "relaxation length over C_alpha / K", "sigma = factor C_alpha / K",
-                "the paper's equation 11", factor=("1", 0.2, 3.0, 1.0)),
+                "F = F_Dugoff + peak (sin(3/2 atan(2/3 z)) mu F_z - F_Dugoff) laterally, longitudinal in place of peak "
+                "longitudinally, z = demand over grip",
+                f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0), longitudinal=("1", 0.0, 1.0, 0.0)),
+        _effect("relaxation", "tyre", "slips build up over a rolled length, beyond the file's C_alpha / K",
+                "sigma = C_alpha / K + length of each axle", f"{PACEJKA}, sec. 7.2; the paper's equation 11",
+                front=("m", 0.0, 1.0, 0.0), rear=("m", 0.0, 1.0, 0.0)),
         _effect("wheel_radius", "tyre", "free tyre radii over the vehicle's", "R = factor R_f", "wear and pressure",
                 front=("1", 0.9, 1.1, 1.0), rear=("1", 0.9, 1.1, 1.0)),
         # sensors
@@ -182,7 +192,8 @@ _EFFECT_FIELDS = tuple(name for p in EFFECT_PARAMETERS.values() for name in p.fi
 # What follows from the others and stays constant over a simulation; `derive` fills it.
 _DERIVED = (
     "mass", "l_front", "l_rear", "I_z", "grip", "F_zf_static", "F_zr_static", "load_transfer",
-    "sigma_f", "sigma_r", "R_front", "R_rear", "grade_gravity", "bank_gravity", "profiled",
+    "sigma_f", "sigma_r", "stiff_f", "stiff_r", "slide_f", "slide_r", "step",
+    "R_front", "R_rear", "grade_gravity", "bank_gravity", "profiled",
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
 
@@ -205,7 +216,7 @@ def nominal_record(vehicle: Vehicle, duration: float = 0.0) -> np.void:
         record[name] = np.nan if value is None else value
     record["I_z_stated"] = vehicle.I_z or 0.0
     record["duration"] = duration
-    for name in LATENT:
+    for name in (*LATENT, "step"):  # the integrator's step is its own to set
         record[name] = 0.0
     for parameter in EFFECT_PARAMETERS.values():
         for name in parameter.fields:
@@ -217,10 +228,10 @@ def nominal_record(vehicle: Vehicle, duration: float = 0.0) -> np.void:
 def derive(p) -> None:
     """Fill the derived fields of the record.
 
-    Mass, its place and I_z = factor m l_f l_r (unless the vehicle file states it) with the payload; static loads
-    m g l_r/L and m g l_f/L across a graded or banked road; load transfer m h/L [N per m/s^2]; relaxation lengths
-    sigma = factor C_alpha / K [m] (the paper's sec. II and equation 11); levers m_s h_s [kg m] of the sprung mass,
-    payload included, about the roll and pitch axes, wheels and axles taken to lie at the height of the wheels'
+    Mass, its place and I_z = factor m l_f l_r (unless the vehicle file states it) with the payload; static loads m g
+    l_r/L and m g l_f/L across a graded or banked road; load transfer m h/L [N per m/s^2]; relaxation lengths sigma =
+    C_alpha / K and what is added to it [m] (the paper's sec. II and equation 11); levers m_s h_s [kg m] of the sprung
+    mass, payload included, about the roll and pitch axes, wheels and axles taken to lie at the height of the wheels'
     centres, with its moments of inertia about those axes [kg m^2]; the IMU's place. No more than all of m is sprung.
     """
     p.mass, p.l_front, carried = payload(p)
@@ -228,8 +239,9 @@ def derive(p) -> None:
     p.I_z = carried + yaw_inertia(p, p.I_z_stated if p.I_z_stated > 0.0 else p.m * p.l_f * (p.L - p.l_f))
     p.grip = friction_level(p, p.mu)
     weight = p.mass * GRAVITY * math.cos(p.road_grade_angle) * math.cos(p.road_bank_angle)
-    p.sigma_f = relaxation(p, p.C_alpha_f / p.K)
-    p.sigma_r = relaxation(p, p.C_alpha_r / p.K)
+    p.sigma_f, p.sigma_r = relaxation(p, p.C_alpha_f / p.K, p.C_alpha_r / p.K)
+    p.stiff_f, p.stiff_r = stiffness_level(p)
+    p.slide_f, p.slide_r = p.friction_level_front, p.friction_level_rear
     p.R_front, p.R_rear = wheel_radius(p)
     p.grade_gravity = GRAVITY * math.sin(p.road_grade_angle)
     p.bank_gravity = GRAVITY * math.sin(p.road_bank_angle)
@@ -364,6 +376,13 @@ def drive_gain(p, torque: float) -> float:
 def brake_gain(p, torque: float) -> float:
     """Axle torque [N m], brake torque being off by a gain."""
     return p.brake_gain_gain * torque if torque < 0.0 else torque
+
+
+@compiled
+def pulls(p, total: float) -> tuple[float, float]:
+    """Longitudinal tyre forces (front, rear) [N] that a total implies, shared as the car drives or brakes."""
+    front = p.drive_front if total > 0.0 else min(max(p.brake_front + p.brake_balance_shift, 0.0), 1.0)
+    return front * total, (1.0 - front) * total
 
 
 @compiled
@@ -547,20 +566,49 @@ def lateral_load_transfer(p, a_y: float) -> float:
 
 
 @compiled
-def tyre_curve(p, z: float) -> float:
-    """Factor on Dugoff's force at demand over grip z: a blend towards sin(C atan(z/C)), which peaks (Pacejka,
-    sec. 4.3), in place of z below the knee at 1/2 and 1 - 1/(4 z) beyond it."""
-    if p.tyre_curve_peak == 0.0 or z == 0.0:
-        return 1.0
+def tyre_curve(p, z: float) -> tuple[float, float]:
+    """Factors on Dugoff's forces (F_x, F_y) at demand over grip z: a blend towards sin(C atan(z/C)), which peaks
+    (Pacejka, sec. 4.3), in place of z below the knee at 1/2 and 1 - 1/(4 z) beyond it."""
+    if z == 0.0:
+        return 1.0, 1.0
     saturating = z if z <= 0.5 else 1.0 - 0.25 / z
-    peaking = math.sin(PEAK_SHAPE * math.atan(z / PEAK_SHAPE))
-    return 1.0 + p.tyre_curve_peak * (peaking / saturating - 1.0)
+    other = math.sin(PEAK_SHAPE * math.atan(z / PEAK_SHAPE)) / saturating - 1.0
+    return 1.0 + p.tyre_curve_longitudinal * other, 1.0 + p.tyre_curve_peak * other
 
 
 @compiled
-def relaxation(p, sigma: float) -> float:
-    """Relaxation length [m] where C_alpha / K is off by a factor."""
-    return p.relaxation_factor * sigma
+def curved(p) -> bool:
+    """Whether the tyre curve is another one than Dugoff's."""
+    return p.tyre_curve_peak != 0.0 or p.tyre_curve_longitudinal != 0.0
+
+
+@compiled
+def relaxation(p, sigma_f: float, sigma_r: float) -> tuple[float, float]:
+    """Relaxation lengths [m] of the front and rear tyres, longer than C_alpha / K of each by a length."""
+    return sigma_f + p.relaxation_front, sigma_r + p.relaxation_rear
+
+
+@compiled
+def lag_share(p, sigma: float, speed: float) -> float:
+    """Share of the slip behind a force that lags by the relaxation length, the rest following at once.
+
+    The integrator of step h is stable for a lag of rate v/sigma up to 2.78/h. A shorter one than LEAST_LAG v h lags as
+    that does, by the share that has the same first-order response: 1 - s sigma/v.
+    """
+    return min(sigma / (LEAST_LAG * speed * p.step), 1.0) if sigma > 0.0 else 0.0
+
+
+@compiled
+def lag_rate(p, sigma: float, speed: float) -> float:
+    """Rate [1/s] at which a lagged slip follows; none without relaxation."""
+    return speed / max(sigma, LEAST_LAG * speed * p.step) if sigma > 0.0 else 0.0
+
+
+@compiled
+def stiffness_level(p) -> tuple[float, float]:
+    """Factors on the cornering and longitudinal stiffness of the front and rear tyres."""
+    both = p.stiffness_level_factor
+    return both * p.stiffness_level_front, both * p.stiffness_level_rear
 
 
 @compiled
@@ -572,7 +620,7 @@ def wheel_radius(p) -> tuple[float, float]:
 @compiled
 def ignores_load(p) -> bool:
     """Whether the force that `tyre_force` gives below the knee is the same under any load."""
-    return p.load_sensitivity_coefficient == 0.0 and p.tyre_curve_peak == 0.0
+    return p.load_sensitivity_coefficient == 0.0 and not curved(p)
 
 
 @compiled
@@ -583,8 +631,21 @@ def tyre_force(
     stiffness = load_sensitivity(p, load)
     C_kappa, C_alpha = stiffness * C_kappa, stiffness * lateral_load_transfer(p, a_y) * C_alpha
     F_x, F_y = dugoff(C_kappa, C_alpha, mu, F_z, kappa, tan_alpha)
-    if p.tyre_curve_peak == 0.0:
+    if not curved(p):
         return F_x, F_y
     demand = math.sqrt((C_kappa * kappa) ** 2 + (C_alpha * tan_alpha) ** 2)
-    factor = tyre_curve(p, demand / max(mu * max(F_z, 0.0) * (1.0 + kappa), 1e-9))
-    return factor * F_x, factor * F_y
+    along, across = tyre_curve(p, demand / max(mu * max(F_z, 0.0) * (1.0 + kappa), 1e-9))
+    return along * F_x, across * F_y
+
+
+@compiled
+def side_force(p, C_alpha: float, mu: float, F_z: float, load: float, F_x: float, tan_alpha: float, a_y: float):
+    """Forces (F_x, F_y) [N] of a tyre or an axle whose longitudinal force is given, as far as its grip goes."""
+    demand_y = load_sensitivity(p, load) * lateral_load_transfer(p, a_y) * C_alpha * tan_alpha
+    grip = mu * max(F_z, 0.0)
+    F_x = min(max(F_x, -MOST_GRIP * grip), MOST_GRIP * grip)
+    F_y, demand = dugoff_side(F_x, demand_y, grip)
+    if not curved(p):
+        return F_x, F_y
+    _, across = tyre_curve(p, demand / max(grip, 1e-9))
+    return F_x, across * F_y

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from vehicle_sbi.physics.balance import Front, Outside, outside, pointing, settled
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import road_bank, tyre_force
+from vehicle_sbi.physics.effects import lag_rate, lag_share, pulls, road_bank, side_force, tyre_force
 from vehicle_sbi.physics.single_track import (
     DELTA,
     SPEED,
@@ -35,6 +35,8 @@ from vehicle_sbi.physics.single_track import (
     U_V_X,
     U_V_X_DOT,
     WHEEL_SPEED,
+    implied,
+    mixed,
     regular,
     rolling_radii,
     slip,
@@ -115,6 +117,7 @@ class Axle(NamedTuple):
     C_kappa: float  # [N]
     C_alpha: float  # [N/rad]
     sigma: float  # [m]
+    slide: float  # factor on the friction coefficient
     inertia: float  # [kg m^2]
     F_z_static: float  # [N]
 
@@ -129,6 +132,7 @@ class Wheel(NamedTuple):
     speed: float  # |v_along|, kept above 0.5 [m/s]
     beta: float  # angle of its motion [rad]
     omega: float  # [rad/s]
+    share: float  # of its slips that lag
     kappa: float  # lagged slip, slip angle [rad] and its tangent
     alpha: float
     tan_alpha: float
@@ -138,7 +142,9 @@ class Car(NamedTuple):
     """What of the car does."""
 
     drive: int
-    relaxed: bool
+    share_f: float  # of the front axle's slips that lag
+    pull_f: float  # longitudinal forces of the axles [N] where the speed is given
+    pull_r: float
     outside: Outside
     g_y: float  # gravity across the car [m/s^2]
     roll: float  # moments that turn the body [N m]
@@ -185,33 +191,42 @@ class Forces(NamedTuple):
 @compiled
 def axles(p) -> tuple[Axle, Axle]:
     """Front and rear."""
+    half_f, half_r = 0.5 * p.stiff_f, 0.5 * p.stiff_r
     front = Axle(
         p.l_front, 0.5 * p.track_f, p.R_front,
-        0.5 * p.C_kappa_f, 0.5 * p.C_alpha_f, p.sigma_f, 0.5 * p.I_wf, 0.5 * p.F_zf_static,
+        half_f * p.C_kappa_f, half_f * p.C_alpha_f, p.sigma_f, p.slide_f, 0.5 * p.I_wf, 0.5 * p.F_zf_static,
     )  # fmt: skip
     rear = Axle(
         -p.l_rear, 0.5 * p.track_r, p.R_rear,
-        0.5 * p.C_kappa_r, 0.5 * p.C_alpha_r, p.sigma_r, 0.5 * p.I_wr, 0.5 * p.F_zr_static,
+        half_r * p.C_kappa_r, half_r * p.C_alpha_r, p.sigma_r, p.slide_r, 0.5 * p.I_wr, 0.5 * p.F_zr_static,
     )  # fmt: skip
     return front, rear
 
 
 @compiled
-def wheel(x: float, y: float, v_x: float, v_y: float, r: float, omega: float, kappa: float, alpha: float) -> Wheel:
-    """The wheel at (x, y) [m] of a car that moves with v_x, v_y [m/s] and r [rad/s], from its own three states."""
-    v_along, v_across = v_x - r * y, v_y + r * x
+def wheel(p, axle: Axle, y: float, v_x: float, v_y: float, r: float, omega: float, kappa: float, alpha: float) -> Wheel:
+    """The wheel at y [m] of an axle of a car that moves with v_x, v_y [m/s] and r [rad/s], from its own states."""
+    v_along, v_across = v_x - r * y, v_y + r * axle.x
     speed = regular(v_along)
-    return Wheel(x, y, v_along, v_across, speed, math.atan(v_across / speed), omega, kappa, alpha, tangent(alpha))
+    share, beta = lag_share(p, axle.sigma, speed), math.atan(v_across / speed)
+    return Wheel(axle.x, y, v_along, v_across, speed, beta, omega, share, kappa, alpha, tangent(alpha))
 
 
 @compiled
-def contact(p, car: Car, axle: Axle, front: Front, w: Wheel, F_z: float) -> Contact:
-    """What the tyre of a wheel that points to the `front` does under the load F_z [N]."""
+def contact(p, car: Car, axle: Axle, front: Front, w: Wheel, F_z: float, pull: float) -> Contact:
+    """What the tyre of a wheel that points to the `front` does under the load F_z [N].
+
+    `pull` is its axle's longitudinal force [N] where the speed is given.
+    """
     R_e, alpha = effective_radius(axle.R, p.C_vert, 2.0 * F_z), front.delta - w.beta
     kappa = 0.0 if car.drive == SPEED else slip(R_e * w.omega, w.v_along * front.cosine + w.v_across * front.sine)
-    used, tan_alpha = (w.kappa, w.tan_alpha) if car.relaxed else (kappa, tangent(alpha))
-    mu, steady, share = car.outside.mu, car.outside.steady, F_z / axle.F_z_static
-    F_along, F_side = tyre_force(p, axle.C_kappa, axle.C_alpha, mu, F_z, share, used, tan_alpha, steady)
+    tan_alpha = w.tan_alpha if w.share == 1.0 else tangent(mixed(w.share, w.alpha, alpha))
+    mu, steady, load = axle.slide * car.outside.mu, car.outside.steady, F_z / axle.F_z_static
+    if car.drive == SPEED:
+        F_along, F_side = side_force(p, axle.C_alpha, mu, F_z, load, 0.5 * pull, tan_alpha, steady)
+    else:
+        used = mixed(w.share, w.kappa, kappa)
+        F_along, F_side = tyre_force(p, axle.C_kappa, axle.C_alpha, mu, F_z, load, used, tan_alpha, steady)
     F_x = F_along * front.cosine - F_side * front.sine
     F_y = F_along * front.sine + F_side * front.cosine
     return Contact(F_x, F_y, w.x * F_y - w.y * F_x, F_along, F_side, R_e, kappa, alpha)
@@ -231,10 +246,10 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     centres = rigid_y * (a_y + car.g_y) - p.h_roll * p.roll_lever * roll_rate_dot
     F_z = loads(p, pitching, car.held_roll, centres, out.press_f, out.press_r)
     straight = pointing(0.0)
-    fl = contact(p, car, car.front, front, car.front_left, F_z[0])
-    fr = contact(p, car, car.front, front, car.front_right, F_z[1])
-    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2])
-    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3])
+    fl = contact(p, car, car.front, front, car.front_left, F_z[0], car.pull_f)
+    fr = contact(p, car, car.front, front, car.front_right, F_z[1], car.pull_f)
+    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], car.pull_r)
+    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3], car.pull_r)
     F_x = out.push_x + (fl.F_x + fr.F_x) + (rl.F_x + rr.F_x)
     F_y = out.push_y + (fl.F_y + fr.F_y) + (rl.F_y + rr.F_y)
     M_z = out.moment_z + (fl.M_z + fr.M_z) + (rl.M_z + rr.M_z)
@@ -253,10 +268,10 @@ def accelerated(p, car: Car, F_x: float, F_y: float) -> tuple[float, float]:
 
 
 @compiled
-def turning(car: Car, axle: Axle, torque: float, w: Wheel, c: Contact) -> tuple[float, float, float]:
+def turning(p, car: Car, axle: Axle, torque: float, w: Wheel, c: Contact) -> tuple[float, float, float]:
     """d/dt of a wheel's speed [rad/s^2] under its axle's torque [N m], and of its lagged slips [1/s, rad/s]."""
     net = wheel_torque(0.5 * torque, w.omega) - c.F_along * c.R_e
-    fade = w.speed / axle.sigma if car.relaxed else 0.0
+    fade = lag_rate(p, axle.sigma, w.speed)
     return net / axle.inertia if car.drive == TORQUE else 0.0, fade * (c.kappa - w.kappa), fade * (c.alpha - w.alpha)
 
 
@@ -267,10 +282,15 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     roll, pitch = restoring(p, state)
     front, rear = axles(p)
     y_f, y_r = front.half_track, rear.half_track
+    given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
+    out = outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT])
+    pull_f, pull_r = pulls(p, implied(p, out, given - v_y * r)) if drive == SPEED else (0.0, 0.0)
     car = Car(
         drive=drive,
-        relaxed=p.sigma_f > 0.0,
-        outside=outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT]),
+        share_f=lag_share(p, p.sigma_f, regular(v_x)),
+        pull_f=pull_f,
+        pull_r=pull_r,
+        outside=out,
         g_y=road_bank(p),
         roll=roll,
         pitch=pitch,
@@ -278,21 +298,20 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         held_pitch=-(p.K_pitch * state[PITCH] + p.D_pitch * state[PITCH_RATE]),
         front=front,
         rear=rear,
-        front_left=wheel(front.x, y_f, v_x, v_y, r, state[7], state[11], state[15]),
-        front_right=wheel(front.x, -y_f, v_x, v_y, r, state[8], state[12], state[16]),
-        rear_left=wheel(rear.x, y_r, v_x, v_y, r, state[9], state[13], state[17]),
-        rear_right=wheel(rear.x, -y_r, v_x, v_y, r, state[10], state[14], state[18]),
+        front_left=wheel(p, front, y_f, v_x, v_y, r, state[7], state[11], state[15]),
+        front_right=wheel(p, front, -y_f, v_x, v_y, r, state[8], state[12], state[16]),
+        rear_left=wheel(p, rear, y_r, v_x, v_y, r, state[9], state[13], state[17]),
+        rear_right=wheel(p, rear, -y_r, v_x, v_y, r, state[10], state[14], state[18]),
     )
-    given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     found, _, a_x, a_y = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
 
     rate[V_X], rate[V_Y], rate[R] = a_x + v_y * r, a_y - v_x * r, found.M_z / p.I_z
     rate[ROLL], rate[PITCH] = state[ROLL_RATE], state[PITCH_RATE]
     rate[ROLL_RATE], rate[PITCH_RATE] = found.roll_rate_dot, found.pitch_rate_dot
-    rate[7], rate[11], rate[15] = turning(car, front, u[T_F], car.front_left, found.front_left)
-    rate[8], rate[12], rate[16] = turning(car, front, u[T_F], car.front_right, found.front_right)
-    rate[9], rate[13], rate[17] = turning(car, rear, u[T_R], car.rear_left, found.rear_left)
-    rate[10], rate[14], rate[18] = turning(car, rear, u[T_R], car.rear_right, found.rear_right)
+    rate[7], rate[11], rate[15] = turning(p, car, front, u[T_F], car.front_left, found.front_left)
+    rate[8], rate[12], rate[16] = turning(p, car, front, u[T_F], car.front_right, found.front_right)
+    rate[9], rate[13], rate[17] = turning(p, car, rear, u[T_R], car.rear_left, found.rear_left)
+    rate[10], rate[14], rate[18] = turning(p, car, rear, u[T_R], car.rear_right, found.rear_right)
 
 
 @compiled_apart

@@ -35,6 +35,7 @@ MODELS: Mapping[str, ModuleType] = {"single_track": single_track, "full_vehicle"
 V_X, V_Y = 0, 1  # the first states of every model
 
 FINISHED, SPUN_OUT, NOT_FINITE = 0, 1, 2
+RIGID = 4.0  # times the fastest mode without relaxation, from which a lag of that rate hardly changes it
 
 
 @compiled
@@ -87,6 +88,7 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
         np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES),
     )  # fmt: skip
     now, h, outcome = np.zeros(u.shape[1]), dt / substeps, FINISHED
+    p.step = h
     for evaluation in range(4 * substeps * (u.shape[0] - 1) + 1):
         step, stage = evaluation // 4, evaluation % 4
         k, share = step // substeps, 0.5 * ((stage + 1) // 2)
@@ -240,12 +242,14 @@ def fastest_rate(record: np.void, drive: str, v_min: float, model: str = "single
     An upper bound without relaxation, good to a fifth with it. The wheels' slip modes are no faster than
     R^2 C_kappa / (I_w v) + sum(C_kappa) / (m v), the body between recorded wheels has the last term, and the lateral
     pair has a known trace and determinant (Rajamani, sec. 2.5). Behind a relaxation of rate c = v/sigma a mode of rate
-    d becomes s^2 + c s + c d = 0, whose roots are sqrt(c d) where they oscillate and below c where they do not. In the
+    d becomes s^2 + c s + c d = 0, whose roots are sqrt(c d) where they oscillate and below c where they do not; from
+    c = 4 d on the slower one is that of the body, and the lag itself is no faster than its share allows. In the
     full vehicle the tyres move less than all of m, the body swinging on its springs; it does so against the rest.
     """
     records, v = np.array([record]), max(v_min, 1.0)
     derive(records[0])
     p, swinging = records[0], []
+    C_kappa = {axle: p[f"stiff_{axle}"] * p[f"C_kappa_{axle}"] for axle in "fr"}
     m_x = m_y = p["mass"]
     turning = 0.0  # what wheels at both sides that slip against each other add [1/s]
     if model == "full_vehicle":
@@ -254,18 +258,20 @@ def fastest_rate(record: np.void, drive: str, v_min: float, model: str = "single
             J -= lever**2 / p["mass"]
             swinging.append(_faster_root(p[f"D_{axis}"] / J, abs(p[f"K_{axis}"] - GRAVITY * lever) / J))
         m_x, m_y = m_x - p["pitch_lever"] ** 2 / p["pitch_J"], m_y - p["roll_lever"] ** 2 / p["roll_J"]
-        turning = sum(p[f"C_kappa_{axle}"] * p[f"track_{axle}"] ** 2 for axle in "fr") / (4.0 * p["I_z"] * v)
-    l_f, l_r, I_z, C_f, C_r = p["l_front"], p["l_rear"], p["I_z"], p["C_alpha_f"], p["C_alpha_r"]
+        turning = sum(C_kappa[axle] * p[f"track_{axle}"] ** 2 for axle in "fr") / (4.0 * p["I_z"] * v)
+    l_f, l_r, I_z = p["l_front"], p["l_rear"], p["I_z"]
+    C_f, C_r = p["stiff_f"] * p["C_alpha_f"], p["stiff_r"] * p["C_alpha_r"]
     trace = (C_f + C_r) / (m_y * v) + (l_f**2 * C_f + l_r**2 * C_r) / (I_z * v)
     determinant = p["L"] ** 2 * C_f * C_r / (m_y * I_z * v**2) + (l_r * C_r - l_f * C_f) / I_z
     rigid = [_faster_root(trace, determinant)]
     if drive != "speed":
-        rigid.append((p["C_kappa_f"] + p["C_kappa_r"]) / (m_x * v))
+        rigid.append(sum(C_kappa.values()) / (m_x * v))
     if drive == "torque":
         along = rigid[1] + turning
-        rigid += [along + p[f"R_{a}"] ** 2 * p[f"C_kappa_{a[0]}"] / (p[f"I_w{a[0]}"] * v) for a in ("front", "rear")]
+        rigid += [along + p[f"R_{a}"] ** 2 * C_kappa[a[0]] / (p[f"I_w{a[0]}"] * v) for a in ("front", "rear")]
     sigma = min(p["sigma_f"], p["sigma_r"])
-    behind = rigid if sigma == 0.0 else [v / sigma, np.sqrt(v / sigma * max(rigid))]
+    lag = 0.0 if sigma == 0.0 else min(v / sigma, RIGID * max(rigid))
+    behind = rigid if sigma == 0.0 else [lag, np.sqrt(lag * max(rigid))]
     return max([*swinging, *behind])
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import ignores_load, tyre_force
+from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, pulls, side_force, tyre_force
 from vehicle_sbi.physics.tyre import effective_radius, grips
 
 TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2
@@ -77,17 +77,21 @@ class Car(NamedTuple):
     """What stays as it is at one moment while loads and forces settle."""
 
     drive: int
-    relaxed: bool
+    share_f: float  # of the slips that lag
+    share_r: float
     outside: Outside
     v_x: float  # along both axles [m/s]
     v_yf: float  # across the front axle [m/s]
     beta_f: float  # angle of the front axle's motion [rad]
     omega_f: float  # [rad/s]
     omega_r: float
-    kappa_f: float  # lagged slips, and tangents of the slip angles as far as no steering changes them
+    kappa_f: float  # lagged slips, the front slip angle [rad], and its tangent and that of the rear one as it acts
     kappa_r: float
+    alpha_f: float
     tan_f: float
     tan_r: float
+    pull_f: float  # longitudinal forces [N] where the speed is given
+    pull_r: float
 
 
 class Rolling(NamedTuple):
@@ -130,27 +134,50 @@ def rolling(p, car: Car, front: Front, F_zf: float, F_zr: float) -> Rolling:
 
 
 @compiled
+def mixed(share: float, lagged: float, now: float) -> float:
+    """A slip of which a share lags."""
+    return share * lagged + (1.0 - share) * now
+
+
+@compiled
+def implied(p, out: Outside, a_x: float) -> float:
+    """Longitudinal force [N] of all tyres that an acceleration a_x [m/s^2] implies: m a_x without what else acts along
+    the car, and with what the front axle's side force holds back in a turn, as large as in a steady one."""
+    held_back = p.mass * p.l_rear / p.L * out.steady * math.sin(out.delta)
+    return p.mass * a_x - out.push_x + held_back
+
+
+@compiled
 def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     """Forces of both axles under the loads of an acceleration a_x [m/s^2], and the acceleration that they cause.
 
     It moves load lengthwise alone: a_y is passed on. Tyres whose slips lag and that do not saturate, neither under
     these loads nor under those of the acceleration that they cause, have the same forces under both.
     """
-    out = car.outside
+    out, relaxed = car.outside, car.share_f == 1.0 and car.share_r == 1.0
     F_zf, F_zr = loads(p, car, a_x)
-    kappa_f, kappa_r, tan_f = car.kappa_f, car.kappa_r, car.tan_f
-    if not car.relaxed:
-        _, _, kappa_f, kappa_r = rolling(p, car, front, F_zf, F_zr)
-        tan_f = tangent(front.delta - car.beta_f)
+    mu_f, mu_r = p.slide_f * out.mu, p.slide_r * out.mu
+    tan_f = car.tan_f
+    if car.share_f < 1.0:
+        tan_f = tangent(mixed(car.share_f, car.alpha_f, front.delta - car.beta_f))
     load_f, load_r = F_zf / p.F_zf_static, F_zr / p.F_zr_static
-    F_xf, F_yf = tyre_force(p, p.C_kappa_f, p.C_alpha_f, out.mu, F_zf, load_f, kappa_f, tan_f, out.steady)
-    F_xr, F_yr = tyre_force(p, p.C_kappa_r, p.C_alpha_r, out.mu, F_zr, load_r, kappa_r, car.tan_r, out.steady)
+    C_f, C_r = p.stiff_f * p.C_alpha_f, p.stiff_r * p.C_alpha_r
+    if car.drive == SPEED:
+        F_xf, F_yf = side_force(p, C_f, mu_f, F_zf, load_f, car.pull_f, tan_f, out.steady)
+        F_xr, F_yr = side_force(p, C_r, mu_r, F_zr, load_r, car.pull_r, car.tan_r, out.steady)
+    else:
+        kappa_f, kappa_r = car.kappa_f, car.kappa_r
+        if not relaxed:
+            _, _, now_f, now_r = rolling(p, car, front, F_zf, F_zr)
+            kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
+        F_xf, F_yf = tyre_force(p, p.stiff_f * p.C_kappa_f, C_f, mu_f, F_zf, load_f, kappa_f, tan_f, out.steady)
+        F_xr, F_yr = tyre_force(p, p.stiff_r * p.C_kappa_r, C_r, mu_r, F_zr, load_r, kappa_r, car.tan_r, out.steady)
     F_along = F_xf * front.cosine - F_yf * front.sine + F_xr + out.push_x
     F_lateral_f = F_xf * front.sine + F_yf * front.cosine
     solved = a_x if car.drive == SPEED else F_along / p.mass
     moved = abs(p.load_transfer * (solved - a_x))
-    final = car.relaxed and ignores_load(p)
-    final = final and grips(out.mu, F_zf - moved, F_xf, F_yf) and grips(out.mu, F_zr - moved, F_xr, F_yr)
+    final = relaxed and ignores_load(p)
+    final = final and grips(mu_f, F_zf - moved, F_xf, F_yf) and grips(mu_r, F_zr - moved, F_xr, F_yr)
     return Forces(solved, a_y, final, F_xf, F_yf, F_lateral_f, F_xr, F_yr)
 
 
@@ -158,12 +185,17 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
 def derivatives(p, drive: int, u, state, rate) -> None:
     """Fill rate (9,) with d(state)/dt; rate[V_X] on entry is the guess from which the load-transfer loop starts."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
-    relaxed, speed, v_yf = p.sigma_f > 0.0, regular(v_x), v_y + p.l_front * r
+    speed, v_yf = regular(v_x), v_y + p.l_front * r
+    share_f, share_r = lag_share(p, p.sigma_f, speed), lag_share(p, p.sigma_r, speed)
     alpha_r = -math.atan((v_y - p.l_rear * r) / speed)
+    given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
+    out = outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT])
+    pull_f, pull_r = pulls(p, implied(p, out, given - v_y * r)) if drive == SPEED else (0.0, 0.0)
     car = Car(
         drive=drive,
-        relaxed=relaxed,
-        outside=outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT]),
+        share_f=share_f,
+        share_r=share_r,
+        outside=out,
         v_x=v_x,
         v_yf=v_yf,
         beta_f=math.atan(v_yf / speed),
@@ -171,22 +203,23 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         omega_r=state[OMEGA_R],
         kappa_f=state[KAPPA_F],
         kappa_r=state[KAPPA_R],
+        alpha_f=state[ALPHA_F],
         tan_f=tangent(state[ALPHA_F]),
-        tan_r=tangent(state[ALPHA_R] if relaxed else alpha_r),
+        tan_r=tangent(mixed(share_r, state[ALPHA_R], alpha_r)),
+        pull_f=pull_f,
+        pull_r=pull_r,
     )
-    given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     found, front, a_x, _ = settled(forces, p, car, given - v_y * r, 0.0)
     F_zf, F_zr = loads(p, car, a_x)
     rolls = rolling(p, car, front, F_zf, F_zr)
 
-    out = car.outside
     rate[V_X] = a_x + v_y * r
     rate[V_Y] = (found.F_lateral_f + found.F_yr + out.push_y) / p.mass - v_x * r
     rate[R] = (p.l_front * found.F_lateral_f - p.l_rear * found.F_yr + out.moment_z) / p.I_z
     T_f, T_r = wheel_torque(u[T_F], state[OMEGA_F]), wheel_torque(u[T_R], state[OMEGA_R])
     rate[OMEGA_F] = (T_f - found.F_xf * rolls.R_f) / p.I_wf if drive == TORQUE else 0.0
     rate[OMEGA_R] = (T_r - found.F_xr * rolls.R_r) / p.I_wr if drive == TORQUE else 0.0
-    fade_f, fade_r = (speed / p.sigma_f, speed / p.sigma_r) if relaxed else (0.0, 0.0)
+    fade_f, fade_r = lag_rate(p, p.sigma_f, speed), lag_rate(p, p.sigma_r, speed)
     rate[KAPPA_F] = fade_f * (rolls.kappa_f - state[KAPPA_F])
     rate[KAPPA_R] = fade_r * (rolls.kappa_r - state[KAPPA_R])
     rate[ALPHA_F] = fade_f * (front.delta - car.beta_f - state[ALPHA_F])

@@ -12,6 +12,8 @@ import math
 
 from vehicle_sbi.physics.compiled import compiled
 
+NEWTON_STEPS, NEWTON_TOLERANCE = 30, 1e-13  # of the share of grip over demand
+
 
 @compiled
 def dugoff(
@@ -33,6 +35,37 @@ def dugoff(
     else:
         factor = 0.5 * grip / demand * (2.0 - 0.5 * grip * (1.0 + kappa) / demand)
     return demand_x * factor, demand_y * factor
+
+
+@compiled
+def dugoff_side(F_x: float, demand_y: float, grip: float) -> tuple[float, float]:
+    """Side force F_y [N] beside a given longitudinal one, and the combined demand S [N], of the same law.
+
+    With (1 + kappa) taken as 1 the force lies along the demand (X, D), of size S below S = G/2 and G - G^2/(4 S) beyond
+    it. So F_y = D where F_x^2 + D^2 <= (G/2)^2, else q = G/(2 S) solves (1 - q/2)^2 (1 - d^2 q^2) = (F_x/G)^2 with
+    d = 2 D/G, by Newton's method between bounds; |F_x| has to be less than the grip G.
+    """
+    demand = math.sqrt(F_x * F_x + demand_y * demand_y)
+    if demand_y == 0.0 or 2.0 * demand <= grip:
+        return demand_y, demand
+    if grip <= 0.0:
+        return 0.0, demand
+    d, share = 2.0 * abs(demand_y) / grip, (F_x / grip) ** 2
+    low, high = 0.0, min(1.0, 1.0 / d)
+    q = high
+    for _ in range(NEWTON_STEPS):
+        rest, left = 1.0 - 0.5 * q, 1.0 - d * d * q * q
+        off = rest * rest * left - share
+        if off > 0.0:
+            low = q
+        else:
+            high = q
+        slope = -rest * left - 2.0 * rest * rest * d * d * q
+        step = q - off / slope
+        if abs(step - q) <= NEWTON_TOLERANCE * q:
+            break
+        q = step if low < step < high else 0.5 * (low + high)
+    return math.copysign((1.0 - 0.5 * q) * d * q * grip, demand_y), 0.5 * grip / q
 
 
 @compiled
