@@ -18,7 +18,7 @@ ROOT = CONF.parent
 @launch("prove")
 def main(cfg: DictConfig) -> None:
     sys.path.append(str(ROOT / "benchmarks"))
-    from concealed.campaign import prove
+    from campaign import Diagnoser, prove
 
     for name, value in (("cases", cfg.cases), ("workers", cfg.workers)):
         if not isinstance(value, int) or value < 1:
@@ -32,8 +32,13 @@ def main(cfg: DictConfig) -> None:
             mix=cfg.mix,
             workers=cfg.workers,
             stages={"diagnose": cfg.diagnose, "baselines": cfg.baselines},
-            script=ROOT / cfg.script,
-            timeout_s=cfg.timeout_s,
+            by=Diagnoser(
+                name=cfg.name,
+                script=Path(cfg.script),
+                tree=Path(cfg.tree).resolve() if cfg.tree else ROOT,
+                timeout_s=cfg.timeout_s,
+            ),
+            beside=list(cfg.beside),
         )
     )
 

@@ -4,9 +4,10 @@ import json
 import platform
 from pathlib import Path
 
+import campaign
 import pandas as pd
 import pytest
-from concealed import campaign, scores, summary
+from concealed import benchmark, scores, summary
 
 
 def truth(kind: str, effects: dict[str, dict[str, float]], level: str = "L0", **more: object) -> dict:
@@ -123,11 +124,11 @@ def test_a_diagnosis_without_a_verdict_is_wrong_in_every_row_of_its_kind(tmp_pat
         case.mkdir(parents=True)
         (case / "case.yaml").write_text("{drive: speed, recordings: [a], channels: [a_y, yaw_rate]}")
         (tmp_path / "sealed" / f"{i:04d}.json").write_text(json.dumps(one))
-    untried = campaign.gather(tmp_path, 4)
+    untried = benchmark.gather(tmp_path, range(4))
     assert "4 cases, 0 of them diagnosed, 0 without a verdict" in summary.report(untried, "", "", 40)
     for case in (tmp_path / "cases").iterdir():
-        (case / "run.json").write_text('{"seconds": 1800.0, "status": -9}')
-    rows = campaign.gather(tmp_path, 4)
+        (case / "diagnosis.json").write_text('{"seconds": 1800.0, "status": -9}')
+    rows = benchmark.gather(tmp_path, range(4))
     assert "4 cases, 4 of them diagnosed, 4 without a verdict" in summary.report(rows, "", "", 40)
     worst = {
         "false alarms, nothing missing, p < 0.05": "1.00 of 1",
@@ -166,7 +167,7 @@ def test_whole_answers_of_simpler_methods_are_sets_and_nothing_is_one(tmp_path: 
         (case / "diagnosis").mkdir()
         answer = verdict([(list(concealed), 1.0)] if concealed else [], 0.0 if concealed else 1.0, 0.0)
         (case / "diagnosis" / "verdict.json").write_text(json.dumps(answer))
-    rows = campaign.gather(tmp_path, len(cases))
+    rows = benchmark.gather(tmp_path, range(len(cases)))
     assert list(rows["bic_correct"]) == [True, False, True, False, True, False]
     beside = summary.beside_baselines(rows, 40).set_index("method")
     whole, inside = beside["whole answer, L0 and L1"], beside["within the catalogue"]

@@ -66,7 +66,8 @@ def driven(front: np.ndarray, rear: np.ndarray, t: np.ndarray, effects: Effects)
 
 
 def sensed(motion: Series, t: np.ndarray, effects: Effects) -> Series:
-    """What sensors report of motion (a_x, a_y, yaw_rate, r_dot, g_x, g_y, wheel speeds, v_x, v_y) on a level platform.
+    """What sensors report of motion (a_x, a_y, yaw_rate, r_dot, g_x, g_y, wheel speeds, v_x, v_y) on a level platform,
+    or on a body that takes them along where its `roll` [rad] and `pitch` [rad], nose up, are among them.
 
     Specific force is acceleration minus gravity; g_x and g_y are what a climbing or banked road adds to it.
     """
@@ -74,8 +75,11 @@ def sensed(motion: Series, t: np.ndarray, effects: Effects) -> Series:
     arm = effects.get("imu_lever_arm", {})
     x, y = arm.get("x", 0.0), arm.get("y", 0.0)
     roll, pitch = effects.get("body_roll", {}), effects.get("body_pitch", {})
-    phi = lagged(roll.get("gradient", 0.0) * motion["a_y"], t, roll.get("lag", 0.0))
-    theta = lagged(pitch.get("gradient", 0.0) * motion["a_x"], t, pitch.get("lag", 0.0))
+    phi, theta = motion.get("roll"), motion.get("pitch")
+    if phi is None:
+        phi = lagged(roll.get("gradient", 0.0) * motion["a_y"], t, roll.get("lag", 0.0))
+    if theta is None:
+        theta = lagged(pitch.get("gradient", 0.0) * motion["a_x"], t, pitch.get("lag", 0.0))
     f = np.stack(
         [
             motion["a_x"] - r_dot * y - r**2 * x + motion["g_x"] + GRAVITY * np.sin(theta),

@@ -132,8 +132,11 @@ def _waves(t: np.ndarray, rng: Rng) -> np.ndarray:
 ACCELERATION = {"constant speed": _constant, "drive and brake": _square, "speed waves": _waves}
 
 
-def plan(car: Vehicle, regime: str, rng: Rng, *, rate: float, seconds: float, smooth: float, asks: float) -> Plan:
-    """A fresh manoeuvre: `asks` is the share of plans that change speed, `smooth` [s] rounds the corners of commands.
+def plan(
+    car: Vehicle, share: tuple[float, float], rng: Rng, *, rate: float, seconds: float, smooth: float, asks: float
+) -> Plan:
+    """A fresh manoeuvre: `share` bounds its peak lateral acceleration over mu g, `asks` is the share of plans that
+    change speed, `smooth` [s] rounds the corners of commands.
 
     The first and last half second are straight driving at constant speed; speeds stay in V_LOW to V_HIGH.
     """
@@ -149,8 +152,7 @@ def plan(car: Vehicle, regime: str, rng: Rng, *, rate: float, seconds: float, sm
     v_0 = low if v_0 + drift.max() < V_HIGH else high
     v_0 = float(np.clip(v_0, V_LOW, V_HIGH))
     v = np.clip(v_0 + drift, V_LOW, V_HIGH)
-    share = rng.uniform(*REGIMES[regime])
-    wanted = share * known.mu * GRAVITY * (known.L + understeer(car) * v**2) / v**2
+    wanted = rng.uniform(*share) * known.mu * GRAVITY * (known.L + understeer(car) * v**2) / v**2
     angle = np.minimum(wanted, MOST_STEERING) * ends * STEERING[kind](np.maximum(t - 0.5, 0.0), rng)
     delta = gaussian_filter1d(angle, max(0.06 * rate, 1.0)) * rng.choice([-1.0, 1.0])
     return Plan(t=t, steering=delta, acceleration=acceleration, v_0=v_0, manoeuvre=f"{kind}, {along}")

@@ -1,8 +1,9 @@
 """CommonRoad's multi-body car (29 states, Pacejka tyres; parameter sets 1 to 3) as a world for concealed effects.
 
 It is driven by steering and by an acceleration that it turns into torques m R a. Commands are changed before it,
-external forces and moments enter its derivatives, sensors stand behind it (on a level platform); what would have to
-change inside it is not offered. Its planar states are those of ISO 8855 (Althoff, CommonRoad vehicle models, 2020).
+external forces and moments enter its derivatives, sensors stand behind it (on a level platform, or on the body); what
+would have to change inside it is not offered. Its planar states are those of ISO 8855 (Althoff, CommonRoad vehicle
+models, 2020).
 """
 
 import math
@@ -31,7 +32,7 @@ SHIFTS = ("p_hx1", "p_vx1", "p_hy1", "p_hy3", "p_vy1", "p_vy3", "r_vy1", "r_vy3"
 FORCES = ("aero_drag", "rolling_resistance", "road_grade", "road_bank", "crosswind", "gust", "yaw_moment")
 TORQUES = ("drive_gain", "brake_gain", "brake_balance", "drive_delay")  # it splits torques itself
 OFFERED = (*(name for name in COMMAND_EFFECTS if name not in TORQUES), *FORCES, *SENSOR_EFFECTS)
-STEER, V_X, YAW_RATE, V_Y, V_Y_FRONT, V_Y_REAR, WHEELS = 2, 3, 5, 10, 15, 20, 23
+STEER, V_X, YAW_RATE, ROLL, PITCH, V_Y, V_Y_FRONT, V_Y_REAR, WHEELS = 2, 3, 5, 6, 8, 10, 15, 20, 23
 
 
 def parameters(number: int) -> Any:
@@ -74,6 +75,7 @@ class MultiBody:
 
     number: int
     gain: float  # of the steering, a base parameter
+    on_body: bool = False  # whether the IMU rolls and pitches with the body
 
     def drive(self, plan: Plan, effects: Effects) -> Series | None:
         p, t, steps = parameters(self.number), plan.t, math.ceil(1.0 / (plan.rate * STEP))
@@ -83,7 +85,7 @@ class MultiBody:
         bank = GRAVITY * math.sin(effects.get("road_bank", {}).get("angle", 0.0))
         slope = np.gradient(delta, t)
         x = np.array(init_mb([0.0, 0.0, delta[0], plan.v_0, 0.0, 0.0, 0.0], p))
-        rows, h = np.empty((len(t), 8)), 1.0 / plan.rate / steps
+        rows, h = np.empty((len(t), 10)), 1.0 / plan.rate / steps
 
         def rate(state: np.ndarray, k: float) -> np.ndarray:
             i = min(int(k), len(t) - 2)
@@ -103,6 +105,7 @@ class MultiBody:
             rows[k] = (
                 x[V_X], x[V_Y], x[YAW_RATE], f[V_X] - x[YAW_RATE] * x[V_Y], f[V_Y] + x[YAW_RATE] * x[V_X], f[YAW_RATE],
                 0.5 * (x[WHEELS] + x[WHEELS + 1]), 0.5 * (x[WHEELS + 2] + x[WHEELS + 3]),
+                -x[ROLL], x[PITCH],  # their signs are not those of ISO 8855: this body leans outwards, its nose lifts
             )  # fmt: skip
             if k + 1 == len(t):
                 break
@@ -117,7 +120,9 @@ class MultiBody:
             if not np.isfinite(x).all() or x[V_X] < 3.0:
                 return None
         names = ("v_x", "v_y", "yaw_rate", "a_x", "a_y", "r_dot", "wheel_speed_front", "wheel_speed_rear")
-        motion = dict(zip(names, rows.T, strict=True))
+        motion = dict(zip(names, rows.T[:8], strict=True))
+        if self.on_body:
+            motion |= {"roll": rows[:, 8], "pitch": rows[:, 9]}
         motion |= {"g_x": np.full(len(t), grade), "g_y": np.full(len(t), bank)}
         return self._commands(p, plan) | sensed(motion, t, effects)
 

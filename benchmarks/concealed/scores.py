@@ -228,7 +228,7 @@ def _recorded(parameter: str, channels: Sequence[str]) -> bool:
     return OF_ONE_CHANNEL.get(parameter, channels[0]) in channels
 
 
-def row(folder: Path, index: int) -> dict[str, Any]:
+def row(folder: Path, index: int, diagnosis: str = "diagnosis") -> dict[str, Any]:
     """One case: what it is, what was said of it, what the baselines say, how long it took."""
     case, name = folder / "cases" / f"{index:04d}", f"{index:04d}"
     truth = json.loads((folder / "sealed" / f"{name}.json").read_text())
@@ -249,9 +249,9 @@ def row(folder: Path, index: int) -> dict[str, Any]:
         "snr_beyond": min((one["snr_beyond"] for one in facts), default=None),
         "detectable": truth["detectable"],
     }
-    run = case / "run.json"
+    run = case / f"{diagnosis}.json"
     out["seconds"] = json.loads(run.read_text())["seconds"] if run.exists() else None
-    verdict = case / "diagnosis" / "verdict.json"
+    verdict = case / diagnosis / "verdict.json"
     if verdict.exists():
         knowing = folder / "sealed" / f"{name}.oracle.json"
         oracle = json.loads(knowing.read_text()) if knowing.exists() else None

@@ -123,7 +123,7 @@ def attempt(rng: np.random.Generator, level: str, effects: Sequence[str]) -> Set
     }  # fmt: skip
     longest = 26 if n < 5 and number is None else 16
     plans = [
-        drives.plan(car, regime, rng, seconds=float(rng.integers(12, longest)), **settings)
+        drives.plan(car, drives.REGIMES[regime], rng, seconds=float(rng.integers(12, longest)), **settings)
         for _ in range(n + int(rng.integers(1, 3)))
     ]
     world: World = OwnModel(car=car, model=model, drive_mode=given.drive, gain=gain)

@@ -5,7 +5,8 @@
     F = mu F_z sin(C atan(w - E (w - atan w))),  w = s / (C mu F_z),  s = |(C_kappa kappa, C_alpha tan alpha)|
 
 (Pacejka, Tire and Vehicle Dynamics, sec. 4.3; combined slip by similarity; Rajamani, ch. 15). The IMU stands on a
-level platform. Effects are coded here and in `actuators_and_sensors`, independently of the tool's.
+level platform, or rolls with the body. Effects are coded here and in `actuators_and_sensors`, independently of the
+tool's.
 """
 
 import math
@@ -30,6 +31,7 @@ CAR = np.dtype([(name, np.float64) for name in FIELDS])
 DELTA, T_F, T_R, F_X, F_Y, M_Z, GRIP, WARMTH, DRAG, G_X = range(10)
 INPUTS = 10
 STATES = 17  # v_x, v_y, r, phi, dphi/dt, four wheel speeds, lagged kappa and alpha of each wheel
+ROLL_GRADIENT = 0.006  # [rad/(m/s^2)] of the body, unless an effect states it
 EDGE = 0.1  # [s] over which what begins at a moment does so
 
 
@@ -106,7 +108,7 @@ def derivatives(p, u, x, last, rate) -> None:
 
 @njit(cache=True)
 def integrate(p, u, v_0: float, dt: float, steps: int, motion) -> None:
-    """Fill motion (time, 8) with v_x, v_y, r, a_x, a_y, dr/dt and the axles' mean wheel speeds; u (time, 10)."""
+    """Fill motion (time, 9) with v_x, v_y, r, a_x, a_y, dr/dt, the axles' mean wheel speeds and phi; u (time, 10)."""
     x, last = np.zeros(STATES), np.zeros(4)
     load_f, load_r = p.l_r / (p.l_f + p.l_r), p.l_f / (p.l_f + p.l_r)
     x[0] = v_0
@@ -116,7 +118,7 @@ def integrate(p, u, v_0: float, dt: float, steps: int, motion) -> None:
     for k in range(len(u)):
         derivatives(p, u[k], x, last, k1)
         motion[k, :3], motion[k, 3], motion[k, 4], motion[k, 5] = x[:3], last[0], last[1], k1[2]
-        motion[k, 6], motion[k, 7] = 0.5 * (x[5] + x[6]), 0.5 * (x[7] + x[8])
+        motion[k, 6], motion[k, 7], motion[k, 8] = 0.5 * (x[5] + x[6]), 0.5 * (x[7] + x[8]), x[3]
         if k + 1 == len(u):
             break
         h, change = dt / steps, u[k + 1] - u[k]
@@ -137,23 +139,29 @@ def between(t: np.ndarray, start: float, duration: float) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Twin:
-    """The car of a vehicle file with its own tyres: shape factor C and curvature E of the magic formula."""
+    """The car of a vehicle file with its own tyres: shape factor C and curvature E of the magic formula.
+
+    With its IMU `on_body` the effect `body_roll` is what the body itself does, at that gradient.
+    """
 
     car: Vehicle
     gain: float  # of the steering, a base parameter
     C: float = 1.3
     E: float = -1.8
+    on_body: bool = False
 
     def drive(self, plan: Plan, effects: Effects) -> Series | None:
         p, t = self._constants(effects), plan.t
         u, g_y = self._inputs(plan, effects)
-        motion = np.empty((len(t), 8))
+        motion = np.empty((len(t), 9))
         integrate(p, u, plan.v_0, 1.0 / plan.rate, math.ceil(RATE / plan.rate), motion)
         v_x, v_y = motion[:, 0], motion[:, 1]
         if not np.isfinite(motion).all() or v_x.min() < 0.6 * plan.v_x.min() or (abs(v_y) > 0.5 * v_x).any():
             return None
         names = ("v_x", "v_y", "yaw_rate", "a_x", "a_y", "r_dot", "wheel_speed_front", "wheel_speed_rear")
-        series = dict(zip(names, motion.T, strict=True)) | {"g_x": u[:, G_X], "g_y": np.full(len(t), g_y)}
+        series = dict(zip(names, motion.T[:8], strict=True)) | {"g_x": u[:, G_X], "g_y": np.full(len(t), g_y)}
+        if self.on_body:
+            series["roll"] = motion[:, 8]
         front, rear = torques(self.car, plan)
         commands = {"steering": plan.steering, "torque_front": front, "torque_rear": rear}
         return commands | sensed(series, t, effects)
@@ -170,7 +178,8 @@ class Twin:
         l_f = car.l_f - load * place / m
         inertia = (car.I_z or car.m * car.l_f * (car.L - car.l_f)) * of("yaw_inertia", "factor", 1.0)
         lever = 0.85 * car.m * (car.h_cog - 0.1)
-        K_phi = lever * GRAVITY + lever / 0.006  # 0.006 rad of roll per m/s^2
+        gradient = of("body_roll", "gradient", ROLL_GRADIENT) if self.on_body else ROLL_GRADIENT
+        K_phi = lever * GRAVITY + lever / gradient
         J_phi = 0.35 * car.m + lever * (car.h_cog - 0.1)
         p = np.zeros(1, CAR)
         for name in ("h_cog", "C_kappa_f", "C_kappa_r", "C_alpha_f", "C_alpha_r", "I_wf", "I_wr"):

@@ -1,0 +1,38 @@
+"""The benchmarks by the name of their mix of cases, and what each of them has to do for a campaign."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import pandas as pd
+from concealed.benchmark import Concealed
+from whole_car.benchmark import WholeCars
+
+
+class Benchmark(Protocol):
+    """What a campaign asks of a benchmark."""
+
+    def build(self, seed: int, index: int, folder: Path) -> None:
+        """Case `index` under folder/cases and its truth under folder/sealed, unless they stand there."""
+        ...
+
+    def prepare(self, case: Path, sealed: Path, *, baselines: bool) -> None:
+        """What else is known of a case once it is built: an oracle, and simpler methods where they are asked for."""
+        ...
+
+    def asked(self, case: Path) -> Sequence[Path]:
+        """The folders of a case that are diagnosed."""
+        ...
+
+    def judged(
+        self, folder: Path, built: Sequence[int], diagnoses: Sequence[str], command: str, where: str
+    ) -> tuple[pd.DataFrame, str]:
+        """A row per case, and the page."""
+        ...
+
+
+BENCHMARKS: Mapping[str, Benchmark] = {
+    "concealed": Concealed("concealed"),
+    "nothing": Concealed("nothing"),
+    "whole_car": WholeCars(),
+}
