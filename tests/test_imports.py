@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 ORDER = """
 errors files parameters rng rounding
-physics.compiled physics.vehicle physics.tyre physics.effects physics.sensors physics.balance
+physics.compiled physics.vehicle physics.size physics.tyre physics.effects physics.sensors physics.balance
 physics.single_track physics.full_vehicle physics.simulation
 data.recording data.formats data.readers data.manoeuvre data.noise
 inference.prior inference.simulator inference.information inference.setup inference.embedding inference.emulator

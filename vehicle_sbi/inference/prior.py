@@ -9,6 +9,7 @@ import numpy as np
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
+from vehicle_sbi.physics.size import size_of
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, IMU_PRIORS, Vehicle
 
 DELTA_SCALE = 1e5
@@ -63,10 +64,12 @@ def parameter_space(
 ) -> ParameterSpace:
     """The free parameters: those of the prior file, those of the effects, and what the vehicle file leaves out.
 
-    A null takes a parameter out of the prior, and one of an effect out of the effect: it stays where that vanishes.
+    Boxes that are not stated are those of a car of this size. A null takes a parameter out of the prior, and one of an
+    effect out of the effect: it stays where that vanishes.
     Raises InputError for an unknown name, a box with low >= high, or one in which no vehicle exists.
     """
     free: dict[str, Parameter] = {}
+    size = size_of(vehicle.m, vehicle.L)
     for name, value in flatten(prior).items():
         if name not in KNOWN:
             raise unknown("parameter", name, KNOWN, "prior")
@@ -76,9 +79,9 @@ def parameter_space(
     for name in effects:
         if name not in CATALOGUE:
             raise unknown("effect", name, CATALOGUE, "effects")
-        free |= {p.name: p for p in CATALOGUE[name].parameters if p.name not in stated}
+        free |= {p.name: size.fitted(p) for p in CATALOGUE[name].parameters if p.name not in stated}
     set_by_prior = {name for p in free.values() for name in p.fields}
-    free |= {name: KNOWN[name] for name in vehicle.missing(model) if name not in set_by_prior}
+    free |= {name: size.fitted(KNOWN[name]) for name in vehicle.missing(model) if name not in set_by_prior}
     if not free:
         raise InputError("prior: no parameter is free; state at least one as name: [low, high]")
     space = ParameterSpace(tuple(free.values()))

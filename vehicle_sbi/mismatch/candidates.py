@@ -16,6 +16,7 @@ from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, Effect
 from vehicle_sbi.physics.single_track import INPUTS
+from vehicle_sbi.physics.size import size_of
 
 STEPS = (0.05, 0.3, 0.6)  # of a parameter's prior width, for differences from its null; the first one that changes
 # anything is taken: enough for a lag to outlast a sample, and grip shows only once it is used up
@@ -103,12 +104,14 @@ def longest(simulator: Simulator) -> float:
 
 
 def within(simulator: Simulator, effect: Effect) -> Effect:
-    """The effect with the boxes of what begins and lasts as wide as the recordings allow.
+    """The effect with boxes for a car of this size, and for what begins and lasts as wide as the recordings allow.
 
     What comes and goes lasts half of a recording at most: longer, it is a difference between recordings.
     """
     reach = {"start": extent(simulator), "duration": LASTING * longest(simulator)}
-    parameters = (replace(p, high=reach.get(_leaf(p), p.high)) for p in effect.parameters)
+    size = size_of(float(simulator.nominal["m"]), float(simulator.nominal["L"]))
+    boxes = (size.fitted(p) for p in effect.parameters)
+    parameters = (replace(p, high=reach.get(_leaf(p), p.high)) for p in boxes)
     return replace(effect, parameters=tuple(parameters))
 
 
