@@ -28,11 +28,12 @@ def test_spans_are_the_sum_of_their_tiles(name: str) -> None:
 
 def test_grip_that_is_not_used_up_is_a_direction_by_a_step_that_uses_it_up() -> None:
     sim = lateral()
-    (known,) = directions(sim, TRUTH, CATALOGUE["friction_level"])
+    both, front, rear = directions(sim, TRUTH, CATALOGUE["friction_level"])
     small = directions(sim, TRUTH, CATALOGUE["body_roll"])
-    assert known.step > STEPS[0] == small[0].step
-    assert known.parameter.low < known.away < known.parameter.high
-    assert np.abs(slopes(sim, TRUTH, [known])).max() > 0.0
+    for known in (both, front, rear):
+        assert known.step > STEPS[0] == small[0].step
+        assert known.parameter.low < known.away < known.parameter.high
+        assert np.abs(slopes(sim, TRUTH, [known])).max() > 0.0
 
 
 def test_larger_steps_are_tried_where_they_do_not_change_as_much_in_proportion() -> None:

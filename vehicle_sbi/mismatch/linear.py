@@ -298,7 +298,8 @@ def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m:
     """Solutions of A x = g whose last entries lie within their bounds, the others at their best given those.
 
     Solved in units in which A has a diagonal of ones: sizes may be of any order, and what steadies one must not hold
-    another. The entry that goes farthest beyond a bound is held there and the rest solved again, until none does.
+    another. The entry that goes farthest beyond a bound is held there and the rest solved again, until none does; then
+    one that is held and pushes inwards is let go again, as long as that gains anything.
     """
     k, n = g.shape
     unit = np.maximum(np.diagonal(A, axis1=1, axis2=2), LEAST_VARIANCE) ** -0.5
@@ -306,11 +307,46 @@ def _bounded(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, m:
     bounds = np.full((2, k, n), [[[-np.inf]], [[np.inf]]])
     bounds[..., m:] = np.broadcast_to(low, (k, n - m)), np.broadcast_to(high, (k, n - m))
     low, high = bounds / unit
-    x = np.linalg.solve(A, g[..., None])[..., 0]
-    held = np.zeros(x.shape, dtype=bool)
-    while (beyond := np.where(held, 0.0, np.maximum(low - x, x - high))).max() > 0.0:
-        rows = np.flatnonzero(beyond.max(axis=1) > 0.0)
-        held[rows, beyond[rows].argmax(axis=1)] = True
-        at = np.where(held, np.clip(x, low, high), g)[rows]
-        x[rows] = np.linalg.solve(np.where(held[rows, :, None], np.eye(n), A[rows]), at[..., None])[..., 0]
-    return np.clip(x, low, high) * unit
+    x, held = _holding(A, g, low, high, np.zeros((k, n), dtype=bool), np.zeros((k, n)))
+    rows = np.flatnonzero(held.any(axis=1))
+    for _ in range(n - m):
+        inwards = _inwards(A[rows], g[rows], low[rows], high[rows], x[rows], held[rows])
+        pushed = inwards.max(axis=1, initial=0.0) > 0.0
+        rows, freed = rows[pushed], held[rows[pushed]]
+        if not len(rows):
+            break
+        freed[np.arange(len(rows)), inwards[pushed].argmax(axis=1)] = False
+        tried, kept = _holding(A[rows], g[rows], low[rows], high[rows], freed, x[rows])
+        better = _misfit(A[rows], g[rows], tried) < _misfit(A[rows], g[rows], x[rows])
+        rows = rows[better]
+        x[rows], held[rows] = tried[better], kept[better]
+    return x * unit
+
+
+def _holding(
+    A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, held: np.ndarray, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solutions with what is held where it is `at`, and whatever goes beyond a bound held there too; and what is."""
+    n, held, at, x, rows = g.shape[1], held.copy(), at.copy(), np.zeros_like(g), np.arange(len(g))
+    while len(rows):
+        fixed = held[rows]
+        right = np.where(fixed, at[rows], g[rows])
+        x[rows] = np.linalg.solve(np.where(fixed[:, :, None], np.eye(n), A[rows]), right[..., None])[..., 0]
+        beyond = np.where(fixed, 0.0, np.maximum(low[rows] - x[rows], x[rows] - high[rows]))
+        out = beyond.max(axis=1) > 0.0
+        rows, worst = rows[out], beyond[out].argmax(axis=1)
+        held[rows, worst] = True
+        at[rows, worst] = np.clip(x[rows, worst], low[rows, worst], high[rows, worst])
+    return np.clip(x, low, high), held
+
+
+def _inwards(
+    A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray, x: np.ndarray, held: np.ndarray
+) -> np.ndarray:
+    """How strongly the misfit pushes what is held away from its bound, into the box."""
+    push = g - (A @ x[..., None])[..., 0]
+    return np.where(held & (low < high), np.where(x <= low, push, -push), 0.0)
+
+
+def _misfit(A: np.ndarray, g: np.ndarray, x: np.ndarray) -> np.ndarray:
+    return 0.5 * np.einsum("ki,kij,kj->k", x, A, x) - np.einsum("ki,ki->k", g, x)

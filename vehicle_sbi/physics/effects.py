@@ -124,7 +124,7 @@ CATALOGUE: Mapping[str, Effect] = {
         # tyres
         _effect("friction_level", "tyre", "friction coefficient over the vehicle's, of both axles or of one",
                 "mu_axle = factor factor_axle mu_vehicle", "Dugoff's mu",
-                factor=("1", 0.3, 1.3, 1.0), front=("1", 0.5, 1.5, 1.0), rear=("1", 0.5, 1.5, 1.0)),
+                factor=("1", 0.3, 1.3, 1.0), front=("1", 0.3, 1.3, 1.0), rear=("1", 0.3, 1.3, 1.0)),
         _effect("stiffness_level", "tyre", "tyre stiffnesses over the vehicle's, of both axles or of one",
                 "C_axle = factor factor_axle C_vehicle, cornering and longitudinal alike",
                 f"{PACEJKA}, ch. 1: tread, pressure and temperature",
