@@ -18,7 +18,8 @@ inference.study inference.calibration
 mismatch.belief mismatch.candidates mismatch.separability mismatch.fit mismatch.search mismatch.full_model
 mismatch.base_fit mismatch.gate mismatch.case
 mismatch.locate mismatch.laws mismatch.linear mismatch.staircase mismatch.stiction mismatch.detect mismatch.onset
-mismatch.loose mismatch.latent mismatch.repertoire mismatch.beyond mismatch.examine mismatch.foretell mismatch.support
+mismatch.loose mismatch.latent mismatch.repertoire mismatch.beyond mismatch.examine mismatch.foretell mismatch.needed
+mismatch.support
 mismatch.agreement mismatch.explanation mismatch.unnamed mismatch.explain mismatch.sampled mismatch.reinfer
 mismatch.experiment mismatch.improve mismatch.acceptance mismatch.answer mismatch.model_average mismatch.wording
 mismatch.verdict

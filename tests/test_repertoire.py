@@ -28,9 +28,10 @@ def test_spans_are_the_sum_of_their_tiles(name: str) -> None:
 
 def test_grip_that_is_not_used_up_is_a_direction_by_a_step_that_uses_it_up() -> None:
     sim = lateral()
-    both, front, rear = directions(sim, TRUTH, CATALOGUE["friction_level"])
+    found = directions(sim, TRUTH, CATALOGUE["friction_level"])
     small = directions(sim, TRUTH, CATALOGUE["body_roll"])
-    for known in (both, front, rear):
+    assert found[0].parameter.name == "friction_level.factor"
+    for known in found:
         assert known.step > STEPS[0] == small[0].step
         assert known.parameter.low < known.away < known.parameter.high
         assert np.abs(slopes(sim, TRUTH, [known])).max() > 0.0

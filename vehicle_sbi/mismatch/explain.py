@@ -115,7 +115,7 @@ def explain(
         best = examine(named[0], repertoire, rng)
         unnamed += beside(best, base.simulator.space)
     sizes = tuple(sorted({d.parameter.name for d in known}))
-    return Explanation(named, unnamed, first, best, belief, sizes=sizes).supported()
+    return Explanation(named, unnamed, first, best, belief, sizes=sizes, full=full).supported()
 
 
 def exchanged(

@@ -14,8 +14,9 @@ from jaxtyping import Float
 
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model
-from vehicle_sbi.mismatch.fit import Observation
+from vehicle_sbi.mismatch.fit import Fit, Observation
 from vehicle_sbi.mismatch.foretell import foretold
+from vehicle_sbi.mismatch.needed import needed
 from vehicle_sbi.mismatch.support import unsupported
 
 SURPRISE = 0.2  # exponent of the density of p-values under something unknown, SURPRISE p^(SURPRISE - 1)
@@ -35,7 +36,7 @@ class Explanation:
 
     `unnamed` are models with a law that the catalogue does not have, the most probable first; `p_told` is how often
     the best one's parameters would seem to move as much from one recording to another, if anything was foretold;
-    `sizes` names the parameters along which effects leave their nulls.
+    `sizes` names the parameters along which effects leave their nulls; `full` is the fit with every effect in.
     """
 
     models: list[Model]
@@ -45,6 +46,7 @@ class Explanation:
     belief: Belief
     p_told: float | None = None
     sizes: tuple[str, ...] = ()
+    full: Fit | None = None
 
     def foretelling(self, further: Observation) -> "Explanation":
         """With what further recordings say of each model; as it is where the base model fails there.
@@ -102,8 +104,9 @@ class Explanation:
     def single(self) -> dict[str, float]:
         """How probable it is that each effect is missing, whatever else is, the most probable first."""
         found: dict[str, float] = {}
-        for model, p in zip(self.models, self.standing, strict=True):
-            for effect in model.effects:
+        alone = ((model.effects, p) for model, p in zip(self.models, self.probability, strict=True))
+        for effects, p in (*alone, *self.beside_unknown.items()):
+            for effect in effects:
                 found[effect] = min(found.get(effect, 0.0) + p, 1.0)
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
@@ -146,12 +149,15 @@ class Explanation:
         """How probable it is that a set of known effects and something unknown are missing, the most probable first.
 
         The empty set is among them. Laws are fitted beside the best set of a size alone; beside the others they are
-        taken to do as well.
+        taken to do as well. Where nothing explains what is left over, an effect is as probable as the full model needs
+        it: whatever else is missing may be what it was found for.
         """
         found: dict[tuple[str, ...], float] = {}
-        for effects, share in [*((model.effects, p) for model, p in self.laws), (self.best.model.effects, self._left)]:
+        by_laws = [(model.effects, p, False) for model, p in self.laws]
+        for effects, share, doubtful in [*by_laws, (self.best.model.effects, self.left, True)]:
             for stand_in, part in self._stand_ins(effects).items():
-                found[stand_in] = found.get(stand_in, 0.0) + share * part
+                for kept, p in self._kept(stand_in).items() if doubtful else ((stand_in, 1.0),):
+                    found[kept] = found.get(kept, 0.0) + share * part * p
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     def _stand_ins(self, effects: tuple[str, ...]) -> dict[tuple[str, ...], float]:
@@ -163,8 +169,23 @@ class Explanation:
         parts = np.exp(weight - np.logaddexp.reduce(weight))
         return {model.effects: float(part) for model, part in zip(alike, parts, strict=True)}
 
+    def _kept(self, effects: tuple[str, ...]) -> dict[tuple[str, ...], float]:
+        """Of a set those that the full model needs: each subset with its probability."""
+        found: dict[tuple[str, ...], float] = {(): 1.0}
+        for effect in effects:
+            p = self.needed.get(effect, 1.0)
+            found = {kept: (1.0 - p) * q for kept, q in found.items()} | {
+                (*kept, effect): p * q for kept, q in found.items()
+            }
+        return {kept: p for kept, p in found.items() if p > 0.0}
+
+    @cached_property
+    def needed(self) -> dict[str, float]:
+        """How probable each effect is where all others may act too; empty without a full model."""
+        return {} if self.full is None else needed(self.full, self.base.model.fit.simulator.space.names, self.temper)
+
     @property
-    def _left(self) -> float:
+    def left(self) -> float:
         """Probability of what the best set leaves over being something that no law explains either."""
         return float(self._shares[-1])
 

@@ -227,13 +227,14 @@ class Fit:
 
     @property
     def covariance(self) -> Float[np.ndarray, "d d"]:
-        """Of the parameters in their own units, under a normal prior as wide as the box."""
+        """Of the parameters in their own units, under a normal prior as wide as the box, or as narrow as shrinkage."""
         return self.tempered(1.0)
 
     def tempered(self, power: float) -> Float[np.ndarray, "d d"]:
         """The same covariance under the likelihood to a power."""
         spread = self.simulator.space.prior_std
-        return np.linalg.inv(power * self.information + np.eye(len(spread))) * np.outer(spread, spread)
+        pull = np.eye(len(spread)) if self.shrinkage is None else np.diag(np.maximum(self.shrinkage.precision, 1.0))
+        return np.linalg.inv(power * self.information + pull) * np.outer(spread, spread)
 
     @property
     def log_evidence(self) -> float:

@@ -1,7 +1,8 @@
 """Base parameters averaged over all explanations, each with its probability: intervals that hold whichever is right.
 
 The average over sets of effects, none, and what is unknown is a mixture of each model's own posterior (Hoeting,
-Madigan, Raftery and Volinsky 1999, Bayesian model averaging).
+Madigan, Raftery and Volinsky 1999, Bayesian model averaging). What is left over without any explanation may lie beside
+the best set, or be many of the catalogue's effects at once, as likely as not: then the full model's posterior counts.
 """
 
 from collections.abc import Sequence
@@ -16,13 +17,22 @@ from vehicle_sbi.mismatch.explanation import Explanation
 
 POINTS = 200  # quantiles that stand for a model's posterior
 LEAST = 1e-3  # probability of a model that counts
+SPREAD = 0.5  # prior probability that what is left over is many of the catalogue's effects at once
 
 
 def averaged(explanation: Explanation) -> dict[str, Estimate]:
     """Each parameter of the base model, averaged over all models and what they leave over."""
-    counted = [(model, share) for model, share in explanation.shares if share > LEAST]
     space = explanation.base.model.fit.simulator.space
+    counted = [(model, share) for model, share in _components(explanation) if share > LEAST]
     return {p.name: _mixed(p.name, p.unit, counted, explanation.temper) for p in space.parameters}
+
+
+def _components(explanation: Explanation) -> list[tuple[Model, float]]:
+    """Models with their probabilities, the full model for its part of what is left over."""
+    *explained, (best, left) = explanation.shares
+    if explanation.full is None:
+        return explanation.shares
+    return [*explained, (best, (1.0 - SPREAD) * left), (Model((), explanation.full, 0.0), SPREAD * left)]
 
 
 def _mixed(name: str, unit: str, counted: Sequence[tuple[Model, float]], power: float) -> Estimate:

@@ -47,12 +47,13 @@ class Size:
 
 def size_of(m: float | None, L: float | None) -> Size:
     """Of a car with mass m [kg] and wheelbase L [m]; None (or NaN) for what is not known."""
-    m, L = (value if value is not None and value > 0.0 else None for value in (m, L))
-    if m is None and L is None:
-        return Size()
-    m = m if m is not None else ORDINARY[0] * ((L or 0.0) / ORDINARY[1]) ** 3
-    L = L if L is not None else ORDINARY[1] * (m / ORDINARY[0]) ** (1.0 / 3.0)
-    return Size(_beyond(m, GENERIC_PRIORS["m"]), _beyond(L, GENERIC_PRIORS["L"]))
+    mass = m if m is not None and m > 0.0 else None
+    length = L if L is not None and L > 0.0 else None
+    if length is None:
+        length = ORDINARY[1] * ((mass or ORDINARY[0]) / ORDINARY[0]) ** (1.0 / 3.0)
+    if mass is None:
+        mass = ORDINARY[0] * (length / ORDINARY[1]) ** 3
+    return Size(_beyond(mass, GENERIC_PRIORS["m"]), _beyond(length, GENERIC_PRIORS["L"]))
 
 
 def _beyond(value: float, passenger: Parameter) -> float:
