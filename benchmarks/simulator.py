@@ -59,7 +59,7 @@ def strip() -> None:
             y[7, k], y[8, k], y[9, k] = sensors.GRAVITY, motion[k, 10], motion[k, 11]
 
     @njit
-    def report(p, signal, group, rate, out):
+    def report(p, signal, group, row, rate, out):
         for k in range(len(signal)):
             out[k] = signal[k]
 

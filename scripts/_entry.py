@@ -134,14 +134,20 @@ def with_recording(arguments: Sequence[str]) -> list[str]:
     return list(arguments)
 
 
+def configured_recordings() -> dict[str, Path]:
+    """Files that `recording=NAME` knows, by name: those of --config-dir before the project's own."""
+    sources = [Path(one.path) for one in HydraConfig.get().runtime.config_sources if one.schema == "file"]
+    return {file.stem: file for source in reversed(sources) for file in (source / "recording").glob("*.yaml")}
+
+
 def named_recordings(cfg: DictConfig) -> DictConfig:
-    """The configuration with names in `recordings` and `heldout` replaced by what conf/recording has for them.
+    """The configuration with names in `recordings` and `heldout` replaced by what their configuration files have.
 
     Raises InputError where there is none, for a name that is not there, or one of another vehicle than `recording`'s.
     """
     if not cfg.recordings and OmegaConf.is_missing(cfg.recording, "path"):
         raise InputError("recordings: none is given; recordings=[drive.csv,...], or a name that conf/recording has")
-    configured = {file.stem: file for file in (CONF / "recording").glob("*.yaml")}
+    configured = configured_recordings()
     chosen = HydraConfig.get().runtime.choices
 
     def resolved(entry: str, where: str) -> object:

@@ -130,10 +130,10 @@ def test_every_parameter_of_an_awake_effect_matters(parameter: Parameter) -> Non
 @every_effect
 @every_model
 def test_effect_fades_continuously_into_its_null(effect: Effect, model: str) -> None:
-    # A thousandth of the way from the null gives about a thousandth of the change. Delays are the worst: signals that
-    # jump are linear between samples, so 0.15 s reach across all of a jump, and a thousandth of 30 samples across 3 %.
+    # A little of the way from the null gives about as little of the change. Delays and lags are the worst: signals that
+    # jump are linear between samples, so that of 2 s, a group's and a channel's, this little is 3 % of a sample's 5 ms.
     base, values = driven_plain(model), awake(effect)
-    little = {p: null_of(p) + 1e-3 * (value - null_of(p)) for p, value in values.items()}
+    little = {p: null_of(p) + 7e-5 * (value - null_of(p)) for p, value in values.items()}
     change, small = (np.abs(driven(v, model) - base).max() for v in (values, little))
     assert small <= 0.031 * change
 

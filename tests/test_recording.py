@@ -203,8 +203,11 @@ def test_holdout_of_a_short_recording_has_both_parts():
         ({"channels": ["ay"]}, "unknown channel 'ay'; known: a_y"),
         ({"channels": ["v_x"]}, "v_x drives the model in drive mode 'speed'"),
         ({"length_s": 0.4}, "warm-up"),
-        ({"length_s": 50.0}, "no window of 50 s is left"),
-        ({"v_min": 11.0}, "20.00 s below 11 m/s: not used"),
+        (
+            {"length_s": 50.0},
+            r"no window of 50 s is left; stretches that can be used: 0.00 to 19.99 s; window_s=20 fits the longest",
+        ),
+        ({"v_min": 11.0}, "no stretch can be used; 20.00 s below 11 m/s: not used"),
     ],
 )
 def test_wrong_settings_are_one_clear_line(settings, message):

@@ -220,7 +220,7 @@ def test_lagging_sensors_follow_a_rise_as_a_first_order_lag(group: int) -> None:
     # A signal linear between samples, to the rounding of fifty steps of numbers below T/dt = 16.
     T, signal, out = 0.08, np.ones(51), np.empty(51)
     signal[0] = 0.0
-    report(record_of(RIGID, **{f"sensor_lag_{GROUPS[group]}": T})[0], signal, group, RATE, out)
+    report(record_of(RIGID, **{f"sensor_lag_{GROUPS[group]}": T})[0], signal, group, A_X, RATE, out)
     assert out == pytest.approx(answer_to_a_rise(50, T), rel=0.0, abs=50 * 16 * EPS)
 
 
@@ -229,7 +229,7 @@ def test_delay_moves_its_group_and_no_other(group: int) -> None:
     signal, out = np.random.default_rng(31).normal(size=100), np.empty(100)
     p = record_of(RIGID, **{f"sensor_delay_{GROUPS[group]}": 7 / RATE})[0]
     for other in range(len(GROUPS)):
-        report(p, signal, other, RATE, out)
+        report(p, signal, other, A_X, RATE, out)
         if other == group:
             # A delay of whole samples is a shift, to the rounding of 7/200 * 200; before it the first value holds.
             assert out[7:] == pytest.approx(signal[:-7], abs=1e-12)
@@ -238,11 +238,37 @@ def test_delay_moves_its_group_and_no_other(group: int) -> None:
             assert np.array_equal(out, signal)
 
 
+@pytest.mark.parametrize("row", range(len(MEASUREMENTS)))
+def test_a_channel_s_own_delay_and_lag_add_to_its_group_s_and_move_no_other(row: int) -> None:
+    signal, out, alone = np.ones(100), np.empty(100), np.empty(100)
+    signal[0] = 0.0
+    name = MEASUREMENTS[row]
+    both = record_of(RIGID, sensor_lag_imu=0.05, sensor_delay_imu=3 / RATE)[0]
+    own = {f"sensor_lag_{name}": 0.03, f"sensor_delay_{name}": 4 / RATE}
+    p = record_of(RIGID, sensor_lag_imu=0.05, sensor_delay_imu=3 / RATE, **own)[0]
+    summed = record_of(RIGID, sensor_lag_imu=0.08, sensor_delay_imu=7 / RATE)[0]
+    for other in range(len(MEASUREMENTS)):  # what is lagged is written over
+        report(p, signal.copy(), 0, other, RATE, out)
+        report(summed if other == row else both, signal.copy(), 0, other, RATE, alone)
+        assert out == pytest.approx(alone, rel=0.0, abs=1e-12)
+
+
+def test_a_gain_scales_its_own_channel() -> None:
+    motion = motion_of(a_x=1.0, a_y=2.0, r=0.3, v_x=20.0)
+    gains = {"accelerometer_scale_z": A_Z, "gyro_scale_z": YAW, "speed_scale_gain": V_X}
+    for field, row in gains.items():
+        y, plain = measured(motion, **{field: 1.25}), measured(motion)
+        plain[row] *= 1.25
+        assert np.array_equal(y, plain)
+    rolling = measured(motion_of(roll_rate=0.2, pitch_rate=-0.1), gyro_scale_x=1.5, gyro_scale_y=0.5, gyro_bias_x=0.25)
+    assert np.array_equal(rolling[[P, Q], 0], [0.3 + 0.25, -0.05])
+
+
 @given(st.floats(0.0, 0.2))
 def test_any_delay_of_a_ramp_is_exact(delay: float) -> None:
     # Linear interpolation reproduces a straight line, so a fraction of a sample counts too.
     t, out = np.arange(200) / RATE, np.empty(200)
-    report(record_of(RIGID, sensor_delay_imu=delay)[0], t, 0, RATE, out)
+    report(record_of(RIGID, sensor_delay_imu=delay)[0], t, 0, A_X, RATE, out)
     assert out == pytest.approx(np.maximum(t - delay, 0.0), abs=1e-13)
 
 
@@ -259,10 +285,10 @@ def test_what_a_group_reported_leads_back_to_what_there_was(group: int) -> None:
     reported = 20.0 + 3.0 / math.hypot(1.0, w * lag) * np.sin(phase)
     p = record_of(RIGID, **{f"sensor_lag_{GROUPS[group]}": lag, f"sensor_delay_{GROUPS[group]}": delay})[0]
     found = truth.copy()
-    unreported(p, reported, group, RATE, found)
+    unreported(p, reported, group, A_X, RATE, found)
     inside = t < t[-1] - delay - h
     assert np.abs(found - truth)[inside].max() < 3.0 * (w * h) ** 2 * (1.0 / 8.0 + w * lag / 6.0) * 1.1
     assert np.abs(found - truth).max() < 3.0 * w**2 * (delay + h) * (delay + h + 2.0 * lag)
     untouched = np.zeros(4)
-    unreported(record_of(RIGID)[0], reported[:4], group, RATE, untouched)
+    unreported(record_of(RIGID)[0], reported[:4], group, A_X, RATE, untouched)
     assert np.array_equal(untouched, np.zeros(4))

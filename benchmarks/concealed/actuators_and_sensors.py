@@ -22,7 +22,7 @@ COMMAND_EFFECTS = (
 )  # fmt: skip
 SENSOR_EFFECTS = (
     "body_roll", "body_pitch", "imu_lever_arm", "imu_misalignment", "accelerometer_scale", "accelerometer_bias",
-    "gyro_scale", "gyro_bias", "sensor_lag", "sensor_delay",
+    "gyro_scale", "gyro_bias", "speed_scale", "sensor_lag", "sensor_delay",
 )  # fmt: skip
 
 
@@ -107,8 +107,13 @@ def changed(reported: Series, t: np.ndarray, effects: Effects) -> Series:
     if "yaw_rate" in out:
         scale = effects.get("gyro_scale", {}).get("z", 1.0)
         out["yaw_rate"] = scale * out["yaw_rate"] + effects.get("gyro_bias", {}).get("z", 0.0)
+    if "v_x" in out:
+        out["v_x"] = effects.get("speed_scale", {}).get("gain", 1.0) * out["v_x"]
     for name in out:
         group = CHANNELS[name].group
-        slow = lagged(out[name], t, effects.get("sensor_lag", {}).get(group, 0.0))
-        out[name] = later(slow, t, effects.get("sensor_delay", {}).get(group, 0.0))
+        lag, delay = (
+            effects.get(effect, {}).get(group, 0.0) + effects.get(effect, {}).get(name, 0.0)
+            for effect in ("sensor_lag", "sensor_delay")
+        )
+        out[name] = later(lagged(out[name], t, lag), t, delay)
     return out

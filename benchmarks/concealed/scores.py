@@ -16,6 +16,7 @@ import numpy as np
 import yaml
 
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
+from vehicle_sbi.physics.sensors import MEASUREMENTS
 
 INTERVAL = 0.9
 NONE, UNKNOWN = frozenset(["none"]), frozenset(["unknown"])
@@ -27,7 +28,11 @@ SHAPES = frozenset(
 """Parameters that say where, when or how late an effect acts, and mean nothing without its size."""
 OF_ONE_CHANNEL: Mapping[str, str] = {
     "accelerometer_bias.x": "a_x", "accelerometer_bias.y": "a_y", "accelerometer_scale.x": "a_x",
-    "accelerometer_scale.y": "a_y", "gyro_bias.z": "yaw_rate", "gyro_scale.z": "yaw_rate",
+    "accelerometer_scale.y": "a_y", "accelerometer_scale.z": "a_z",
+    **{f"gyro_{what}.{axis}": name for what in ("bias", "scale")
+       for axis, name in (("x", "roll_rate"), ("y", "pitch_rate"), ("z", "yaw_rate"))},
+    "speed_scale.gain": "v_x",
+    **{f"sensor_{what}.{name}": name for what in ("lag", "delay") for name in MEASUREMENTS},
 }  # fmt: skip
 """Parameters of sensors, which nothing shows where that channel is not recorded."""
 Answer = frozenset[str]

@@ -25,6 +25,9 @@ V_Y_LEVER, SIDESLIP = 1.5, 0.1
 """Where v_y is not recorded it may be wrong by 1.5 m times the yaw rate (about the rear axle's distance), at most by
 0.1 rad times v_x; both root mean squares over the recording."""
 
+STRETCHES = 3
+"""Usable stretches that are named where none is long enough, at most."""
+
 MOST_HELD = 20
 """Samples for which a held signal usually stays, at most: one that stays for longer is at rest."""
 
@@ -300,7 +303,8 @@ class Recording:
         valid &= real & (np.arange(n) >= warmup)
         fitted = valid.any(axis=(0, 2)) if len(channels) else real.any(axis=1)
         if not fitted.any():
-            raise InputError(f"{self.source}: no window of {length_s:g} s is left; {'; '.join(notes) or 'too short'}")
+            said = "; ".join([_stretches(usable, self.t, self.rate, length_s), *notes])
+            raise InputError(f"{self.source}: no window of {length_s:g} s is left; {said}")
         u = np.stack([inputs.get(name, np.zeros_like(self.t)) for name in INPUTS], axis=-1)[index]
         u[~real, INPUTS.index("v_x_dot")] = 0.0
         left_over = int(usable.sum() - real[fitted].sum())
@@ -454,6 +458,20 @@ def unheld(values: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
 
 def _rms(values: Float[np.ndarray, " time"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+def _stretches(usable: Bool[np.ndarray, " time"], t: Float[np.ndarray, " time"], rate: float, length_s: float) -> str:
+    """Which stretches could be used, the longest first, and which window would fit the longest."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(int), [0]]))).reshape(-1, 2)
+    if not len(edges):
+        return "no stretch can be used"
+    longest = edges[np.argsort(-(edges[:, 1] - edges[:, 0]), kind="stable")]
+    spoken = ", ".join(f"{t[start]:.2f} to {t[stop - 1]:.2f} s" for start, stop in longest[:STRETCHES])
+    more = f" and {len(longest) - STRETCHES} shorter ones" if len(longest) > STRETCHES else ""
+    seconds = float(longest[0, 1] - longest[0, 0]) / rate
+    fits = f"window_s={math.floor(10.0 * seconds) / 10.0:g} fits the longest"
+    short = "nothing that is to be fitted is measured there" if 2.0 * seconds >= length_s else fits
+    return f"stretches that can be used: {spoken}{more}; {short}"
 
 
 def _cut(usable: Bool[np.ndarray, " time"], n: int) -> tuple[np.ndarray, Bool[np.ndarray, "windows n"]]:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, Effect
+from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.physics.size import size_of
 
@@ -23,6 +24,8 @@ STEPS = (0.05, 0.3, 0.6)  # of a parameter's prior width, for differences from i
 MOST = 0.9  # of the way to the prior's farther bound, at most
 SHAPES = 3  # values at which a parameter of shape is held
 SPAN = ("start", "duration")
+SHARED = ("factor", *GROUPS)  # names of parameters of both axles, or of all sensors of a group
+DRIVEN_BY = {"speed": ("v_x",), "wheel_speed": ("wheel_speed_front", "wheel_speed_rear"), "torque": ()}
 TILES = 16  # of the recordings' time, of which what comes and goes is made up
 LASTING = 0.5  # of the longest recording, at most
 LENGTHS = (1, 2, 4, 8)  # tiles that something may last, begun at every half of it
@@ -104,15 +107,38 @@ def longest(simulator: Simulator) -> float:
 
 
 def within(simulator: Simulator, effect: Effect) -> Effect:
-    """The effect with boxes for a car of this size, and for what begins and lasts as wide as the recordings allow.
+    """The effect as it can act here: without what belongs to sensors that are not recorded, with boxes for a car of
+    this size, and for what begins and lasts as wide as the recordings allow.
 
     What comes and goes lasts half of a recording at most: longer, it is a difference between recordings.
     """
     reach = {"start": extent(simulator), "duration": LASTING * longest(simulator)}
     size = size_of(float(simulator.nominal["m"]), float(simulator.nominal["L"]))
-    boxes = (size.fitted(p) for p in effect.parameters)
+    boxes = (size.fitted(p) for p in effect.parameters if _reported(simulator, p))
     parameters = (replace(p, high=reach.get(_leaf(p), p.high)) for p in boxes)
     return replace(effect, parameters=tuple(parameters))
+
+
+def _reported(simulator: Simulator, p: Parameter) -> bool:
+    """Whether a parameter of one sensor, or of a group of them, belongs to what is recorded; of a group with but one
+    channel, the group's stands for both."""
+    windows, leaf = simulator.windows, _leaf(p)
+    driving = dict.fromkeys(DRIVEN_BY[simulator.drive], windows.speed_group)
+    group_of = driving | dict(zip(windows.channels, windows.groups, strict=True))
+    if leaf in GROUPS:
+        return leaf in group_of.values()
+    if leaf in MEASUREMENTS:
+        return leaf in group_of and [*group_of.values()].count(group_of[leaf]) > 1
+    return True
+
+
+def shared(p: str, among: Sequence[str]) -> bool:
+    """Whether a parameter of an effect acts on several things at once of which others among them act on one each."""
+    return _ends(p) in SHARED and any(_ends(other) not in SHARED for other in among)
+
+
+def _ends(name: str) -> str:
+    return name.split(".")[-1]
 
 
 def responses(
@@ -155,7 +181,7 @@ def _stepping(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effe
 
 
 def _leaf(p: Parameter) -> str:
-    return p.name.split(".")[-1]
+    return _ends(p.name)
 
 
 def _throughout(simulator: Simulator, shape: Mapping[Parameter, float]) -> dict[Parameter, float]:

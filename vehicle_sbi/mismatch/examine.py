@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.beyond import Beyond
-from vehicle_sbi.mismatch.candidates import STEPS, Direction, allowed, null, tile
+from vehicle_sbi.mismatch.candidates import STEPS, Direction, allowed, null, shared, tile
 from vehicle_sbi.mismatch.detect import Scores, score
 from vehicle_sbi.mismatch.fit import Fit, log_volume
 from vehicle_sbi.mismatch.laws import Law
@@ -166,7 +166,8 @@ def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joi
     """Effects with several directions: all of them at once, sizes as likely anywhere in their boxes."""
     found, changes = free.of.directions, free.named
     together = {}
-    for effect, by_parameter in _by_effect(found).items():
+    for effect, every in _by_effect(found).items():
+        by_parameter = {name: rows for name, rows in every.items() if not shared(name, [*every])}
         if len(by_parameter) < 2:
             continue
         rows = [ks[int(np.argmax(scores.gain[ks]))] for ks in by_parameter.values()]

@@ -15,7 +15,7 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.fit import MOST_STEPS, Fit, Observation, descend, with_own_noise
 from vehicle_sbi.physics.effects import DEAD_TIMES
 
-MOST_DEAD_TIMES = 100  # that are tried of one
+MOST_DEAD_TIMES = 250  # that are tried of one
 REACHES_S = (1.5, 0.3)  # [s] within which the beginning and the end of something are moved, in turn
 FINENESS = 5  # steps of them to either side
 NEAR, SAME = 12.0, 0.1  # log likelihood by which a fit may promise less than the best, and two fits are one

@@ -22,6 +22,21 @@ KNOTS = 12  # of a profile over the recording, equally spaced
 LEAST_STIFFNESS = 0.05  # share of a stiffness that no load and no acceleration takes away
 LEAST_LAG = 0.5  # of the way that a wheel rolls in a step of the integrator, the least length that lags as it is
 MOST_GRIP = 0.99  # share of the grip that a given longitudinal force takes, at most
+REPORTED = (
+    "imu",
+    "can",
+    "wheel_speed",
+    "a_x",
+    "a_y",
+    "yaw_rate",
+    "wheel_speed_front",
+    "wheel_speed_rear",
+    "v_x",
+    "v_y",
+    "a_z",
+    "roll_rate",
+    "pitch_rate",
+)  # of sensors: groups that share a clock and a filter, and channels
 PEAK_SHAPE = 1.5  # C of the magic formula that the tyre curve blends into
 DEAD_TIME = "pure dead time"
 RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and Vehicle Dynamics"
@@ -124,7 +139,7 @@ CATALOGUE: Mapping[str, Effect] = {
         # tyres
         _effect("friction_level", "tyre", "friction coefficient over the vehicle's, of both axles or of one",
                 "mu_axle = factor factor_axle mu_vehicle", "Dugoff's mu",
-                factor=("1", 0.3, 1.3, 1.0), front=("1", 0.3, 1.3, 1.0), rear=("1", 0.3, 1.3, 1.0)),
+                factor=("1", 0.3, 1.3, 1.0), front=("1", 0.6, 1.3, 1.0), rear=("1", 0.6, 1.3, 1.0)),
         _effect("stiffness_level", "tyre", "tyre stiffnesses over the vehicle's, of both axles or of one",
                 "C_axle = factor factor_axle C_vehicle, cornering and longitudinal alike",
                 f"{PACEJKA}, ch. 1: tread, pressure and temperature",
@@ -162,19 +177,22 @@ CATALOGUE: Mapping[str, Effect] = {
                 "f_IMU = R_x(roll)' R_y(pitch)' R_z(yaw)' f", "rotation by Tait-Bryan angles",
                 roll=("rad", -0.1, 0.1, 0.0), pitch=("rad", -0.1, 0.1, 0.0), yaw=("rad", -0.1, 0.1, 0.0)),
         _effect("accelerometer_scale", "sensor", "gain of the accelerometer", "a = gain a", "sensor model",
-                x=("1", 0.8, 1.2, 1.0), y=("1", 0.8, 1.2, 1.0)),
+                x=("1", 0.8, 1.2, 1.0), y=("1", 0.8, 1.2, 1.0), z=("1", 0.8, 1.2, 1.0)),
         _effect("accelerometer_bias", "sensor", "constant offset of the accelerometer", "a = a + bias", "sensor model",
                 x=("m/s^2", -0.6, 0.6, 0.0), y=("m/s^2", -0.6, 0.6, 0.0)),
-        _effect("gyro_scale", "sensor", "gain of the yaw-rate sensor", "r = gain r", "sensor model",
-                z=("1", 0.8, 1.2, 1.0)),
-        _effect("gyro_bias", "sensor", "constant offset of the yaw-rate sensor", "r = r + bias", "sensor model",
-                z=("rad/s", -0.03, 0.03, 0.0)),
-        _effect("sensor_lag", "sensor", "a group of sensors reports through a first-order lag",
-                "time dy/dt = signal - y", "first-order filter",
-                imu=("s", 0.0, 0.3, 0.0), can=("s", 0.0, 0.3, 0.0), wheel_speed=("s", 0.0, 0.3, 0.0)),
-        _effect("sensor_delay", "sensor", "a group of sensors reports later", "y(t) = signal(t - time)",
-                DEAD_TIME,
-                imu=("s", 0.0, 0.2, 0.0), can=("s", 0.0, 0.2, 0.0), wheel_speed=("s", 0.0, 0.2, 0.0)),
+        _effect("gyro_scale", "sensor", "gain of the gyro: roll, pitch and yaw rate", "w = gain w", "sensor model",
+                x=("1", 0.8, 1.2, 1.0), y=("1", 0.8, 1.2, 1.0), z=("1", 0.8, 1.2, 1.0)),
+        _effect("gyro_bias", "sensor", "constant offset of the gyro: roll, pitch and yaw rate", "w = w + bias",
+                "sensor model",
+                x=("rad/s", -0.03, 0.03, 0.0), y=("rad/s", -0.03, 0.03, 0.0), z=("rad/s", -0.03, 0.03, 0.0)),
+        _effect("speed_scale", "sensor", "gain of the speed sensor, where the speed is predicted", "v_x = gain v_x",
+                "sensor model", gain=("1", 0.8, 1.2, 1.0)),
+        _effect("sensor_lag", "sensor", "a group of sensors, or one channel, reports through a first-order lag",
+                "time dy/dt = signal - y, time = group + channel", "first-order filter",
+                **dict.fromkeys(REPORTED, ("s", 0.0, 2.0, 0.0))),
+        _effect("sensor_delay", "sensor", "a group of sensors, or one channel, reports later",
+                "y(t) = signal(t - time), time = group + channel", DEAD_TIME,
+                **dict.fromkeys(REPORTED, ("s", 0.0, 0.5, 0.0))),
     )
 }  # fmt: skip
 

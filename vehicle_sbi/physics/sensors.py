@@ -22,6 +22,7 @@ V_X, V_Y, R, A_X, A_Y, R_DOT, OMEGA_F, OMEGA_R, ROLL, PITCH, P, Q, P_DOT, Q_DOT 
 MEASUREMENTS = (
     "a_x", "a_y", "yaw_rate", "wheel_speed_front", "wheel_speed_rear", "v_x", "v_y", "a_z", "roll_rate", "pitch_rate",
 )  # fmt: skip
+ROW_FRONT, ROW_REAR, ROW_SPEED = (MEASUREMENTS.index(name) for name in ("wheel_speed_front", "wheel_speed_rear", "v_x"))
 BODY_MEASUREMENTS = ("a_z", "roll_rate", "pitch_rate")  # which a model without roll and pitch does not predict
 GROUPS = ("imu", "can", "wheel_speed")
 
@@ -76,9 +77,9 @@ def body_pitch(p, pitch: float, before: float, a_x: float, rate: float) -> float
 
 
 @compiled
-def accelerometer_scale(p, a_x: float, a_y: float) -> tuple[float, float]:
+def accelerometer_scale(p, a_x: float, a_y: float, a_z: float) -> tuple[float, float, float]:
     """Readings [m/s^2] of an accelerometer with a gain on each axis."""
-    return p.accelerometer_scale_x * a_x, p.accelerometer_scale_y * a_y
+    return p.accelerometer_scale_x * a_x, p.accelerometer_scale_y * a_y, p.accelerometer_scale_z * a_z
 
 
 @compiled
@@ -88,15 +89,21 @@ def accelerometer_bias(p, a_x: float, a_y: float) -> tuple[float, float]:
 
 
 @compiled
-def gyro_scale(p, r: float) -> float:
-    """Reading [rad/s] of a yaw-rate sensor with a gain."""
-    return p.gyro_scale_z * r
+def gyro_scale(p, w_x: float, w_y: float, w_z: float) -> tuple[float, float, float]:
+    """Readings [rad/s] of a gyro with a gain on each axis."""
+    return p.gyro_scale_x * w_x, p.gyro_scale_y * w_y, p.gyro_scale_z * w_z
 
 
 @compiled
-def gyro_bias(p, r: float) -> float:
-    """Reading [rad/s] of a yaw-rate sensor with a constant offset."""
-    return r + p.gyro_bias_z
+def gyro_bias(p, w_x: float, w_y: float, w_z: float) -> tuple[float, float, float]:
+    """Readings [rad/s] of a gyro with a constant offset on each axis."""
+    return w_x + p.gyro_bias_x, w_y + p.gyro_bias_y, w_z + p.gyro_bias_z
+
+
+@compiled
+def speed_scale(p, v_x: float) -> float:
+    """Reading [m/s] of a speed sensor with a gain."""
+    return p.speed_scale_gain * v_x
 
 
 @compiled_apart
@@ -116,40 +123,95 @@ def measure(p, motion, t, rate: float, y) -> None:
         f_x, f_y, f_z = tilted(f_x, f_y, f_z, motion[k, ROLL] + lean, motion[k, PITCH] + dive)
         f_x, f_y, f_z = imu_misalignment(p, f_x, f_y, f_z)
         w_x, w_y, w_z = imu_misalignment(p, w_x, w_y, r)
-        f_x, f_y = accelerometer_scale(p, f_x, f_y)
+        f_x, f_y, f_z = accelerometer_scale(p, f_x, f_y, f_z)
         y[0, k], y[1, k] = accelerometer_bias(p, f_x, f_y)
-        y[2, k] = gyro_bias(p, gyro_scale(p, w_z))
+        w_x, w_y, w_z = gyro_scale(p, w_x, w_y, w_z)
+        w_x, w_y, w_z = gyro_bias(p, w_x, w_y, w_z)
+        y[2, k] = w_z
         y[3, k] = motion[k, OMEGA_F]
         y[4, k] = motion[k, OMEGA_R]
-        y[5, k] = motion[k, V_X]
+        y[5, k] = speed_scale(p, motion[k, V_X])
         y[6, k] = motion[k, V_Y]
         y[7, k], y[8, k], y[9, k] = f_z, w_x, w_y
 
 
 @compiled
-def sensor_delay(p, group: int) -> float:
-    """Delay [s] of a group of sensors, an index into GROUPS."""
-    if group == 0:
-        return p.sensor_delay_imu
-    if group == 1:
-        return p.sensor_delay_can
-    return p.sensor_delay_wheel_speed
+def channel_delay(p, row: int) -> float:
+    """Delay [s] of one channel, a row of MEASUREMENTS, beyond its group's."""
+    if row == 0:
+        return p.sensor_delay_a_x
+    if row == 1:
+        return p.sensor_delay_a_y
+    if row == 2:
+        return p.sensor_delay_yaw_rate
+    if row == 3:
+        return p.sensor_delay_wheel_speed_front
+    if row == 4:
+        return p.sensor_delay_wheel_speed_rear
+    if row == 5:
+        return p.sensor_delay_v_x
+    if row == 6:
+        return p.sensor_delay_v_y
+    if row == 7:
+        return p.sensor_delay_a_z
+    if row == 8:
+        return p.sensor_delay_roll_rate
+    return p.sensor_delay_pitch_rate
 
 
 @compiled
-def sensor_lag(p, group: int) -> float:
-    """First-order lag [s] of a group of sensors, an index into GROUPS."""
+def sensor_delay(p, group: int, row: int) -> float:
+    """Delay [s] of a channel, a row of MEASUREMENTS, that a group of sensors reports, an index into GROUPS."""
+    own = channel_delay(p, row)
     if group == 0:
-        return p.sensor_lag_imu
+        return p.sensor_delay_imu + own
     if group == 1:
-        return p.sensor_lag_can
-    return p.sensor_lag_wheel_speed
+        return p.sensor_delay_can + own
+    return p.sensor_delay_wheel_speed + own
+
+
+@compiled
+def channel_lag(p, row: int) -> float:
+    """First-order lag [s] of one channel, a row of MEASUREMENTS, beyond its group's."""
+    if row == 0:
+        return p.sensor_lag_a_x
+    if row == 1:
+        return p.sensor_lag_a_y
+    if row == 2:
+        return p.sensor_lag_yaw_rate
+    if row == 3:
+        return p.sensor_lag_wheel_speed_front
+    if row == 4:
+        return p.sensor_lag_wheel_speed_rear
+    if row == 5:
+        return p.sensor_lag_v_x
+    if row == 6:
+        return p.sensor_lag_v_y
+    if row == 7:
+        return p.sensor_lag_a_z
+    if row == 8:
+        return p.sensor_lag_roll_rate
+    return p.sensor_lag_pitch_rate
+
+
+@compiled
+def sensor_lag(p, group: int, row: int) -> float:
+    """First-order lag [s] of a channel, a row of MEASUREMENTS, that a group reports, an index into GROUPS."""
+    own = channel_lag(p, row)
+    if group == 0:
+        return p.sensor_lag_imu + own
+    if group == 1:
+        return p.sensor_lag_can + own
+    return p.sensor_lag_wheel_speed + own
 
 
 @compiled_apart
-def report(p, signal, group: int, rate: float, out) -> None:
-    """Write one channel (time,) to `out` as its group of sensors reports it: through its lag, then later."""
-    lag, shift = sensor_lag(p, group), sensor_delay(p, group) * rate
+def report(p, signal, group: int, row: int, rate: float, out) -> None:
+    """Write one channel (time,), a row of MEASUREMENTS, to `out` as its sensor reports it: through its lag, then later.
+
+    The lag is settled at the first sample.
+    """
+    lag, shift = sensor_lag(p, group, row), sensor_delay(p, group, row) * rate
     if lag > 0.0:
         before = value = signal[0]
         for k in range(len(signal)):
@@ -160,10 +222,10 @@ def report(p, signal, group: int, rate: float, out) -> None:
 
 
 @compiled_apart
-def unreported(p, signal, group: int, rate: float, out) -> None:
-    """Write to `out` what a smooth channel (time,) was before its group of sensors reported it: earlier, and ahead of
-    its lag. Beyond its end it goes on as its reflection there."""
-    lag, shift = sensor_lag(p, group), sensor_delay(p, group) * rate
+def unreported(p, signal, group: int, row: int, rate: float, out) -> None:
+    """Write to `out` what a smooth channel (time,) was before its sensor reported it: earlier, and ahead of its lag.
+    Beyond its end it goes on as its reflection there."""
+    lag, shift = sensor_lag(p, group, row), sensor_delay(p, group, row) * rate
     if lag == 0.0 and shift == 0.0:
         return
     for k in range(len(signal)):

@@ -14,7 +14,16 @@ from numba import njit, prange
 from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import derive, latent_sensor, latent_steering, steer, torques
-from vehicle_sbi.physics.sensors import MEASUREMENTS, MOTION, measure, report, unreported
+from vehicle_sbi.physics.sensors import (
+    MEASUREMENTS,
+    MOTION,
+    ROW_FRONT,
+    ROW_REAR,
+    ROW_SPEED,
+    measure,
+    report,
+    unreported,
+)
 from vehicle_sbi.physics.single_track import (
     DELTA,
     SPEED,
@@ -136,11 +145,11 @@ def actuate(p, u, input_noise, rate: float, out) -> None:
 def measured_speeds(p, drive: int, group: int, u, rate: float, out) -> None:
     """The speeds that drive the model before their group of sensors reported them; u, out (time, 9)."""
     if drive == SPEED:
-        unreported(p, u[:, U_V_X], group, rate, out[:, U_V_X])
-        unreported(p, u[:, U_V_X_DOT], group, rate, out[:, U_V_X_DOT])
+        unreported(p, u[:, U_V_X], group, ROW_SPEED, rate, out[:, U_V_X])
+        unreported(p, u[:, U_V_X_DOT], group, ROW_SPEED, rate, out[:, U_V_X_DOT])
     elif drive == WHEEL_SPEED:
-        unreported(p, u[:, U_OMEGA_F], group, rate, out[:, U_OMEGA_F])
-        unreported(p, u[:, U_OMEGA_R], group, rate, out[:, U_OMEGA_R])
+        unreported(p, u[:, U_OMEGA_F], group, ROW_FRONT, rate, out[:, U_OMEGA_F])
+        unreported(p, u[:, U_OMEGA_R], group, ROW_REAR, rate, out[:, U_OMEGA_R])
 
 
 @compiled
@@ -186,7 +195,7 @@ def simulate(
         measure(p, motion, acting[:, TIME], rate, reading)
         for i in range(len(channels)):
             reported = y[i, w * time : (w + 1) * time]
-            report(p, reading[channels[i]], groups[i], rate, reported)
+            report(p, reading[channels[i]], groups[i], channels[i], rate, reported)
             if p.latent_sensor != 0.0:
                 for k in range(time):
                     reported[k] += latent_sensor(p, channels[i], u[w, k, U_LATENT])
