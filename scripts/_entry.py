@@ -27,7 +27,7 @@ import re
 import sys
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -169,6 +169,12 @@ def named_recordings(cfg: DictConfig) -> DictConfig:
         entries = [cfg[where]] if isinstance(cfg[where], str) else typing.cast(list[str], list(cfg[where] or []))
         cfg[where] = [resolved(str(entry), where) for entry in entries]
     return cfg
+
+
+def warn(lines: Iterable[str]) -> None:
+    """What recordings contradict, said before anything is fitted."""
+    for line in lines:
+        print(f"warning: {line}", file=sys.stderr)
 
 
 def run_folder(cfg: DictConfig, *, inputs: Mapping[str, str]) -> RunFolder:

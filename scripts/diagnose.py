@@ -4,7 +4,7 @@ python scripts/diagnose.py recordings=[a.csv,b.csv] heldout=[c.csv] vehicle=car.
 python scripts/diagnose.py recording=volvo_s90_slalom
 """
 
-from _entry import launch, named_recordings, run_folder  # first: it sets the number of threads
+from _entry import launch, named_recordings, run_folder, warn  # first: it sets the number of threads
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
@@ -18,6 +18,7 @@ def main(cfg: DictConfig) -> None:
     diagnosis, again = instantiate(named_recordings(cfg).diagnosis), instantiate(cfg.get("infer"))
     use_cores(cfg.engine.cores)
     case = diagnosis.prepare()
+    warn(case.warnings)
     with run_folder(cfg, inputs=case.inputs) as folder:
         if not folder.finished:
             diagnose(folder, case, again, seed=cfg.seed, figures=cfg.figures)

@@ -1,6 +1,6 @@
 """Parameters of one vehicle, from a recording or from a synthetic manoeuvre: posterior, table, figures, report."""
 
-from _entry import launch, run_folder  # first: it sets the number of threads
+from _entry import launch, run_folder, warn  # first: it sets the number of threads
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
@@ -15,6 +15,7 @@ def main(cfg: DictConfig) -> None:
     study, scheme = instantiate(cfg.study), instantiate(cfg.rounds)
     use_cores(cfg.engine.cores)
     prepared = study.prepare()
+    warn(prepared.warnings)
     with run_folder(cfg, inputs=prepared.inputs) as folder:
         if not folder.finished:
             with folder.stage("rounds"):

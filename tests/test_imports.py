@@ -11,7 +11,7 @@ ORDER = """
 errors files parameters rng rounding
 physics.compiled physics.vehicle physics.size physics.tyre physics.effects physics.sensors physics.balance
 physics.single_track physics.full_vehicle physics.simulation
-data.recording data.formats data.readers data.manoeuvre data.noise
+data.recording data.plausibility data.formats data.readers data.manoeuvre data.noise
 inference.prior inference.simulator inference.information inference.setup inference.embedding inference.emulator
 inference.features inference.estimator inference.training inference.proposal inference.rounds inference.predictive
 inference.study inference.calibration

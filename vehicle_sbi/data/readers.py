@@ -6,7 +6,7 @@ then laid on one uniform grid by linear interpolation.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter
 
 from vehicle_sbi.data.formats import Table, read_table
+from vehicle_sbi.data.plausibility import LIMITS, absurd, findings, spoken_runs
 from vehicle_sbi.data.recording import CHANNELS, Recording
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.files import sha256
@@ -133,7 +134,7 @@ class RecordingFile:
             series |= found
         t, rate = self._grid(series.values(), notes)
         resampled = {name: _resampled(name, one, t, notes) for name, one in series.items()}
-        return Recording(
+        recording = Recording(
             name=self.name or Path(self.path).stem,
             rate=rate,
             t=t,
@@ -144,6 +145,7 @@ class RecordingFile:
             sha256=" + ".join(sha256(Path(file.path)) for file in files),
             notes=tuple(notes),
         )
+        return replace(recording, warnings=findings(recording))
 
     def series(self, notes: list[str]) -> dict[str, Series]:
         """This file's channels in SI, each on the file's own clock and with its group; `notes` grows."""
@@ -159,8 +161,15 @@ class RecordingFile:
             spikes = flag_spikes(values) if name != "brake" else np.zeros(len(t), dtype=bool)
             if spikes.any():
                 notes.append(f"{name}: {spikes.sum()} single-sample spikes left out at {_listed(t[spikes])} s")
+            values = np.where(spikes, np.nan, values)
+            rate = 1.0 / float(np.median(np.diff(t)))
+            beyond, runs = absurd(name, values, rate)
+            limit = f"beyond {LIMITS.get(name, 0.0):g} {CHANNELS[name].unit}"
+            for which, why in ((beyond, limit), (runs, "they jump out and back")):
+                if which.any():
+                    notes.append(f"{name}: {spoken_runs(which, t)} left out: {why}")
             group = source.group or CHANNELS[name].group
-            channels[name] = Series(t=t, values=np.where(spikes, np.nan, values), group=group)
+            channels[name] = Series(t=t, values=np.where(beyond | runs, np.nan, values), group=group)
         return channels
 
     def _sources(self, table: Table) -> dict[str, ChannelSource]:

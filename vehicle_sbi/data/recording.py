@@ -167,6 +167,7 @@ def joined(parts: Sequence[Windows], names: Sequence[str], shifts: Sequence[floa
 class Recording:
     """Channels on a uniform grid `t` [s] at `rate` [Hz]; `notes` lists what was filled, left out, resampled, flagged.
 
+    `warnings` says what the drive contradicts: signs, units, axes, offsets.
     `source` and `sha256` name the file it was read from. Raises InputError for a channel that is not in
     `CHANNELS`.
     """
@@ -180,6 +181,7 @@ class Recording:
     source: str
     sha256: str
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in self.channels:

@@ -92,6 +92,11 @@ class Prepared:
         return list(self.problem.simulator.windows.notes)
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the recording contradicts."""
+        return () if self.recording is None else self.recording.warnings
+
+    @property
     def inputs(self) -> dict[str, str]:
         """SHA-256 of every file that the study reads."""
         return {} if self.recording is None else {self.recording.source: self.recording.sha256}

@@ -31,7 +31,8 @@ NO_DRAWS = DrawnProcessNoise(Mixture(np.zeros(0), np.zeros(0)), Mixture(np.zeros
 class Case:
     """Observations to fit and to hold out, with what was read on the way.
 
-    `naming` is the part of held-out recordings that helps to tell names apart; `held_out` has seen none of that.
+    `warnings` are what recordings contradict; `naming` is the part of held-out recordings that helps to tell names
+    apart; `held_out` has seen none of that.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Case:
     held_out_names: tuple[str, ...]
     apart: bool
     notes: tuple[str, ...]
+    warnings: tuple[str, ...]
     inputs: dict[str, str]
     belief: Belief
 
@@ -69,6 +71,8 @@ class Diagnosis(Setup):
         inputs = {recording.source: recording.sha256 for _, recording in (*training, *held)}
         cut = replace(self, window_s=self._window_s(training, held))
         names = tuple(recording.name for _, recording in held)
+        read = (recording for _, recording in (*training, *held))
+        warnings = tuple(f"{recording.name}: {line}" for recording in read for line in recording.warnings)
         if not held:
             training, held = cut.blocks(training)
             names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
@@ -95,6 +99,7 @@ class Diagnosis(Setup):
             held_out_names=names,
             apart=bool(self.heldout),
             notes=observation.simulator.windows.notes,
+            warnings=warnings,
             inputs=inputs,
             belief=self.belief,
         )

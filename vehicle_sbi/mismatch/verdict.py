@@ -133,7 +133,7 @@ def verdict(
     rest = sum(explanation.probability[LISTED:])
     base = explanation.base.model.fit
     cornered = _rim(base)
-    warnings = [*_cornered(cornered), *passed.notes, *cornered, *_misfit(base)]
+    warnings = [*case.warnings, *_cornered(cornered), *passed.notes, *cornered, *_misfit(base)]
     said = sentence(explanation, found, mismatch, together, unknown, accepted, seen, covered)
     return Verdict(
         schema=SCHEMA,

@@ -56,7 +56,8 @@ def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, sampl
     with folder.stage("results"):
         found = results(prepared, inference, samples=samples)
         write_samples(folder.path, found.samples, prepared, inference)
-        notes, warnings = round_notes(inference), round_warnings(inference, found.table)
+        notes = round_notes(inference)
+        warnings = [*prepared.warnings, *round_warnings(inference, found.table)]
         notes += [f"Hardly told apart: {a} and {b}: correlation {r:.2f}." for a, b, r in found.confusable]
         told = [*notes, *found.predicted.sentences(), *prepared.notes]
         folder.record(**facts(inference), notes=told, warnings=warnings)
