@@ -92,7 +92,8 @@ def test_steps_and_slow_pulses_are_no_runs() -> None:
     noise = 0.01 * rng.normal(size=2000)
     step = np.where(np.arange(2000) > 900, 1.0, 0.0) + noise
     held = np.where((np.arange(2000) > 900) & (np.arange(2000) < 1000), 1.0, 0.0) + noise  # two seconds
-    for values in (step, held, np.sin(np.arange(2000) / 10.0), noise):
+    pulses = np.where(np.arange(2000) % 100 < 20, 1.0, 0.0) + noise  # two fifths of a second, every two
+    for values in (step, held, pulses, np.sin(np.arange(2000) / 10.0), noise):
         assert not np.any(absurd("a_y", values, RATE))
     assert not np.any(absurd("torque_front", np.where((step > 0.5) & (np.arange(2000) < 905), 800.0, 0.0), RATE))
 

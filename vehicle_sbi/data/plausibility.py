@@ -32,6 +32,7 @@ LIMITS: Mapping[str, float] = {
 BROKEN = 0.1  # share of samples beyond a limit, from which it is the unit rather than the samples that is wrong
 RUN_S = 0.5  # [s] that a run of absurd samples lasts at most
 JUMP, BACK = 10.0, 0.25  # times all but the largest usual changes, and of the jump that is not taken back
+MOST_JUMPED = 0.01  # share of samples in such runs, from which it is what the channel does
 SMOOTHED_S = 0.5  # [s] over which signals are averaged before they are compared
 ALIKE, OFF = 0.8, 0.25  # correlation that tells, and relative distance from a known factor
 LEAST = {"a": 0.4, "turn": 0.02, "steering": 0.005}  # spread that tells: [m/s^2], of yaw rate over speed [1/m], [rad]
@@ -78,7 +79,7 @@ def _out_and_back(values: Float[np.ndarray, " rows"], most: int) -> Bool[np.ndar
         undone = abs(x[back + 1] - x[out]) < BACK * abs(changes[out])
         if changes[out] * changes[back] < 0.0 and back - out <= most and undone:
             found[known[out + 1] : known[back] + 1] = True
-    return found
+    return found if found.mean() < MOST_JUMPED else np.zeros(len(values), dtype=bool)
 
 
 def spoken_runs(which: Bool[np.ndarray, " rows"], t: Float[np.ndarray, " rows"], most: int = 3) -> str:

@@ -1,0 +1,157 @@
+"""The benchmark of whole cars: what is drawn is what is stated, truth stays sealed, and scores are what they say."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from concealed.outside import OUTSIDE
+from whole_car import cases, oracle, page
+from whole_car.cars import INHERENT, LATERAL, OFF, RATE, whole_car
+from whole_car.missing import FEWEST, MOST, REAL
+from whole_car.scores import Scored, parameters, scored
+
+from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
+
+
+def test_every_effect_and_size_is_one_of_the_catalogue_s_within_its_box() -> None:
+    assert REAL.keys() <= CATALOGUE.keys()
+    for name, one in REAL.items():
+        for key, (least, most) in one.sizes.items():
+            p = EFFECT_PARAMETERS[f"{name}.{key}"]
+            assert p.null is not None
+            assert 0.0 < least < most
+            assert p.null + most <= p.high
+            assert not one.either or p.null - most >= p.low
+
+
+def test_cars_have_as_much_missing_as_is_stated() -> None:
+    cars = [whole_car(np.random.default_rng((0, i))) for i in range(60)]
+    for car in cars:
+        inside = [name for name in car.effects if name in CATALOGUE]
+        assert FEWEST <= len(inside) <= MOST
+        assert len(car.effects) - len(inside) <= 1
+        assert not {name.split(".")[0] for name in car.base} & set(car.effects)  # what is fitted is not missing
+        assert car.peak <= LATERAL[1]
+        given: Any = car.given.vehicle
+        for name in ("C_alpha_f", "C_alpha_r"):
+            assert abs(getattr(given, name) / car.base[name] - 1.0) <= OFF + 1e-4
+        for name, (low, high) in car.given.prior.items():
+            assert low < car.base[name] < high
+    shares = {world: np.mean([car.world_name == world for car in cars]) for world in INHERENT}
+    # Binomial: three standard deviations of 60 draws are 0.19.
+    assert shares["multi-body car"] == pytest.approx(0.2, abs=0.16)
+    assert np.mean([bool(set(car.effects) & set(OUTSIDE)) for car in cars]) == pytest.approx(1 / 3, abs=0.19)
+    assert np.mean(["relaxation" in car.effects for car in cars if car.world_name != "multi-body car"]) > 0.5
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("whole_car")
+    for index in (1, 2):  # of those, none takes long
+        cases.build(0, index, folder)
+    return folder
+
+
+def truth_of(folder: Path, index: int) -> dict[str, Any]:
+    return json.loads((folder / "sealed" / f"{index:04d}.json").read_text())
+
+
+def test_a_case_is_a_function_of_its_seed_and_index_and_tells_nothing(built: Path, tmp_path: Path) -> None:
+    cases.build(0, 1, tmp_path)
+    names = sorted(file.name for file in (built / "cases" / "0001").iterdir())
+    for name in names:
+        if name != "case.yaml":  # which has the paths
+            assert (tmp_path / "cases/0001" / name).read_bytes() == (built / "cases/0001" / name).read_bytes()
+    told = (built / "cases/0001/case.yaml").read_text()
+    assert not any(f"{effect}." in told for effect in truth_of(built, 1)["effects"])
+    assert yaml.safe_load(told)["heldout"] == ["heldout_0.csv"]
+
+
+@pytest.mark.parametrize("index", [1, 2])
+def test_what_shows_beyond_others_is_no_more_than_what_shows(built: Path, index: int) -> None:
+    truth = truth_of(built, index)
+    for one in truth["effects"].values():
+        assert 0.0 <= one["snr_beyond"] <= one["snr"] * (1.0 + 1e-9)
+    assert RATE == 50.0
+
+
+def test_the_oracle_predicts_better_than_who_knows_nothing(built: Path) -> None:
+    truth = truth_of(built, 1)
+    found = oracle.knowing(built / "cases/0001", truth)
+    nothing = oracle.knowing(built / "cases/0001", truth | {"effects": {}, "inherent": []})
+    assert found is not None
+    assert nothing is not None
+    assert sum(found["nrmse"].values()) < sum(nothing["nrmse"].values())
+
+
+def verdict(effects: dict[str, float], base: dict[str, float]) -> dict[str, Any]:
+    one = {name: {"mean": 1.1 * x, "std": 0.05 * x} for name, x in base.items()}
+    two = {name: {"mean": 1.02 * x, "std": 0.05 * x, "q05": 0.95 * x, "q95": 1.05 * x} for name, x in base.items()}
+    return {
+        "effects": effects, "p_unknown": 0.7, "explanations": [], "fit": {"accepted": True},
+        "base_parameters": {name: {"before": one[name], "after": two[name], "unit": "1"} for name in base},
+    }  # fmt: skip
+
+
+def test_names_are_held_against_what_is_there_and_what_is_like_it(built: Path) -> None:
+    truth = truth_of(built, 1)
+    there = next(iter(truth["effects"]))
+    truth["effects"][there] |= {"snr_beyond": 20.0, "alike": ["gust"]}
+    (built / "sealed" / "0001.json").write_text(json.dumps(truth))
+    absent = next(name for name in CATALOGUE if name not in truth["effects"] and name != "gust" and not any(
+        name in one["alike"] for one in truth["effects"].values()) and name not in truth["inherent"]
+    )  # fmt: skip
+    folder = built / "cases/0001/mine"
+    folder.mkdir()
+    said = {there: 0.4, "gust": 0.6, absent: 0.9}
+    (folder / "verdict.json").write_text(json.dumps(verdict(said, truth["base_parameters"])))
+    one = scored(built, 1, "mine")
+    assert one is not None
+    assert set(one.names) == {"gust", absent}
+    assert one.wrong == [absent]
+    assert (one.strong[there], one.alike[there]) == (0.4, 0.6)
+    assert one.before is not None
+    assert one.after is not None
+    assert one.before.relative == pytest.approx(0.1)
+    assert not one.before.held.any()  # twice their standard deviation off
+    assert one.after.held.all()
+    assert one.after.in_std == pytest.approx(0.4)
+    text = page.report({"mine": [one]}, "python scripts/prove.py mix=whole_car", "here")
+    assert "| names above 0.5 that are not there, a case | 1.00 (1.00 to 1.00; 1) | 0.3 | 0.1 |" in text
+    assert len(page.table([one])) == 1
+
+
+def test_a_calibrated_probability_has_no_error_and_a_sure_one_that_is_wrong_all() -> None:
+    right = np.array([[0.25, 0.0], [0.25, 0.0], [0.25, 0.0], [0.25, 1.0], [1.0, 1.0]])
+    assert page.calibration(right) == pytest.approx(0.0)
+    assert page.calibration(np.array([[1.0, 0.0], [0.0, 1.0]])) == pytest.approx(1.0)
+
+
+def test_an_estimate_without_an_interval_has_the_normal_one() -> None:
+    said = {"a": {"mean": 1.0, "std": 0.1}, "b": {"mean": 1.0, "std": 0.1}}
+    found = parameters({"a": 1.16, "b": 1.17}, said)
+    assert found is not None
+    assert found.held.tolist() == [True, False]  # 1.645 standard deviations
+    assert parameters({"c": 1.0}, said) is None
+
+
+def test_an_interval_of_a_measure_holds_its_value_and_narrows_with_cases() -> None:
+    def cars(n: int) -> list[Scored]:
+        return [
+            Scored(
+                case=i, world="", drive="", truth=(), outside="", names={}, wrong=["x"] * (i % 2), strong={}, alike={}
+            )
+            for i in range(n)
+        ]  # fmt: skip
+
+    measure = next(m for m in page.MEASURES if "not there" in m.label)
+    widths = []
+    for n in (10, 1000):
+        value, low, high = map(float, re.findall(r"\d\.\d+", page.shown(measure, cars(n))))
+        assert low <= value <= high
+        widths.append(high - low)
+    assert widths[1] < widths[0]
