@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.candidates import STEPS, directions, slopes
+from vehicle_sbi.mismatch.candidates import STEPS, directions, shared, slopes
 from vehicle_sbi.mismatch.examine import NEAR, Model, glance, versions
 from vehicle_sbi.mismatch.fit import linearise
 from vehicle_sbi.mismatch.repertoire import Repertoire
 from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.physics.single_track import INPUTS
 
 
 @pytest.mark.parametrize("name", ["gust", "friction_step"])
@@ -35,6 +36,23 @@ def test_grip_that_is_not_used_up_is_a_direction_by_a_step_that_uses_it_up() -> 
         assert known.step > STEPS[0] == small[0].step
         assert known.parameter.low < known.away < known.parameter.high
         assert np.abs(slopes(sim, TRUTH, [known])).max() > 0.0
+
+
+def test_times_of_channels_are_offered_where_they_differ_from_their_groups() -> None:
+    # Three channels of an IMU, and the speed that drives the model, which changes, as the only one of its group.
+    imu, sim = ["a_x", "a_y", "yaw_rate"], lateral()
+    u = sim.windows.u.copy()
+    u[..., INPUTS.index("v_x")] += 0.5 * np.sin(u[..., INPUTS.index("time")])
+    sim = replace(sim, windows=replace(sim.windows, u=u))
+    for name in ("sensor_delay", "sensor_lag"):
+        offered = [d.parameter.name.split(".")[1] for d in directions(sim, TRUTH, CATALOGUE[name])]
+        assert offered == ["imu", "can", *imu]
+        # Free together, times of all three channels stand for the IMU's; nothing else stands for the speed's.
+        assert [one for one in offered if not shared(sim, f"{name}.{one}", offered)] == ["can", *imu]
+        split = replace(sim, windows=replace(sim.windows, groups=("imu", "imu", "can")))
+        offered = [d.parameter.name.split(".")[1] for d in directions(split, TRUTH, CATALOGUE[name])]
+        assert offered == ["imu", "can", *imu, "v_x"]
+        assert [one for one in offered if not shared(split, f"{name}.{one}", offered)] == [*imu, "v_x"]
 
 
 def test_larger_steps_are_tried_where_they_do_not_change_as_much_in_proportion() -> None:

@@ -253,6 +253,19 @@ def test_a_channel_s_own_delay_and_lag_add_to_its_group_s_and_move_no_other(row:
         assert out == pytest.approx(alone, rel=0.0, abs=1e-12)
 
 
+@pytest.mark.parametrize("row", range(len(MEASUREMENTS)))
+def test_lag_of_a_channel_answers_a_step_exponentially(row: int) -> None:
+    # 1 - exp(-t/T) from the middle of the sample over which the step rises, to second order in its length over T.
+    T, step, out = 0.08, np.ones(51), np.empty(51)
+    step[0] = 0.0
+    p = record_of(RIGID, **{f"sensor_lag_{MEASUREMENTS[row]}": T})[0]
+    report(p, step.copy(), 1, row, RATE, out)
+    t = (np.arange(1, 51) - 0.5) / RATE
+    assert out[1:] == pytest.approx(1.0 - np.exp(-t / T), rel=0.0, abs=(1.0 / (RATE * T)) ** 2 / 8.0)
+    report(p, step.copy(), 1, (row + 1) % len(MEASUREMENTS), RATE, out)
+    assert np.array_equal(out, step)
+
+
 def test_a_gain_scales_its_own_channel() -> None:
     motion = motion_of(a_x=1.0, a_y=2.0, r=0.3, v_x=20.0)
     gains = {"accelerometer_scale_z": A_Z, "gyro_scale_z": YAW, "speed_scale_gain": V_X}

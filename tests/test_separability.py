@@ -45,15 +45,15 @@ def test_the_size_of_an_offset_that_is_seen_is_that_of_a_mean(rho: float) -> Non
 
 
 def test_what_is_fitted_is_no_candidate_and_absorbs_what_looks_like_it() -> None:
-    # With the speed given, grade is nothing but g sin(angle) in a_x, as a bias is. Once the bias is fitted, its prior
-    # of standard deviation s leaves 1/(1 + s^2 n/sigma^2) of the grade; l_f has next to no part in a_x.
+    # With the speed given, grade is g sin(angle) in a_x, as a bias is, and the force that holds the car on it takes a
+    # little of the front tyres' grip, a fiftieth of what it does. Once the bias is fitted, its prior of s leaves 1/(1 + s^2 n/sigma^2) of the grade; l_f has next to no part in a_x.
     sim, bias = lateral(), CATALOGUE["accelerometer_bias"].parameters[0]
     fitted = replace(sim, space=ParameterSpace((*sim.space.parameters, bias)))
     before, after = card(sim, MIDDLE), card(fitted, np.array([1.25, 0.0]))
     assert not any(c.parameter.name == "accelerometer_bias.x" for c in after.candidates)
     free, absorbed = (found.candidates[entry(found, "road_grade.angle")] for found in (before, after))
     information = fitted.space.prior_std[1] ** 2 * sim.shape[1] / sim.noise.floor[0] ** 2
-    assert free.retained == pytest.approx(1.0, abs=1e-3)
+    assert free.retained == pytest.approx(1.0, abs=0.03)
     assert absorbed.retained == pytest.approx(1 / (1 + information), rel=0.02)
     assert abs(absorbed.absorbed["accelerometer_bias.x"]) > 50 * abs(absorbed.absorbed["l_f"])
 
@@ -99,7 +99,7 @@ def test_each_effect_of_the_catalogue_could_show_or_could_not_or_is_fitted() -> 
     found = card(replace(sim, space=ParameterSpace((*sim.space.parameters, *bias))), np.array([1.25, 0.0, 0.0]))
     shown, hidden = found.could_show(), found.invisible()
     assert sorted([*shown, *hidden, "accelerometer_bias"]) == sorted(CATALOGUE)
-    assert {"drive_gain", "aero_drag"} <= set(found.idle()) <= set(hidden)  # the speed is given
+    assert {"drive_gain", "drive_delay"} <= set(found.idle()) <= set(hidden)  # the speed is given
     shares = [one.share for one in shown.values()]
     assert shares == sorted(shares)
     assert shares[-1] <= 1.0

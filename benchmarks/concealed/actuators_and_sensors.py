@@ -100,13 +100,14 @@ def sensed(motion: Series, t: np.ndarray, effects: Effects) -> Series:
 def changed(reported: Series, t: np.ndarray, effects: Effects) -> Series:
     """Readings behind scales, biases, lags and delays of their sensors."""
     out = dict(reported)
-    for axis in "xy":
+    for axis in "xyz":
         if f"a_{axis}" in out:
             scale, bias = (effects.get(f"accelerometer_{kind}", {}).get(axis) for kind in ("scale", "bias"))
             out[f"a_{axis}"] = (1.0 if scale is None else scale) * out[f"a_{axis}"] + (bias or 0.0)
-    if "yaw_rate" in out:
-        scale = effects.get("gyro_scale", {}).get("z", 1.0)
-        out["yaw_rate"] = scale * out["yaw_rate"] + effects.get("gyro_bias", {}).get("z", 0.0)
+    for axis, rate in (("x", "roll_rate"), ("y", "pitch_rate"), ("z", "yaw_rate")):
+        if rate in out:
+            scale = effects.get("gyro_scale", {}).get(axis, 1.0)
+            out[rate] = scale * out[rate] + effects.get("gyro_bias", {}).get(axis, 0.0)
     if "v_x" in out:
         out["v_x"] = effects.get("speed_scale", {}).get("gain", 1.0) * out["v_x"]
     for name in out:

@@ -122,9 +122,7 @@ def within(simulator: Simulator, effect: Effect) -> Effect:
 def _reported(simulator: Simulator, p: Parameter) -> bool:
     """Whether a parameter of one sensor, or of a group of them, belongs to what is recorded; of a group with but one
     channel, the group's stands for both."""
-    windows, leaf = simulator.windows, _leaf(p)
-    driving = dict.fromkeys(DRIVEN_BY[simulator.drive], windows.speed_group)
-    group_of = driving | dict(zip(windows.channels, windows.groups, strict=True))
+    group_of, leaf = _groups(simulator), _leaf(p)
     if leaf in GROUPS:
         return leaf in group_of.values()
     if leaf in MEASUREMENTS:
@@ -132,9 +130,21 @@ def _reported(simulator: Simulator, p: Parameter) -> bool:
     return True
 
 
-def shared(p: str, among: Sequence[str]) -> bool:
-    """Whether a parameter of an effect acts on several things at once of which others among them act on one each."""
-    return _ends(p) in SHARED and any(_ends(other) not in SHARED for other in among)
+def _groups(simulator: Simulator) -> dict[str, str]:
+    """The group of sensors of each channel that is recorded, and of the speeds that drive the model."""
+    windows = simulator.windows
+    driving = dict.fromkeys(DRIVEN_BY[simulator.drive], windows.speed_group)
+    return driving | dict(zip(windows.channels, windows.groups, strict=True))
+
+
+def shared(simulator: Simulator, p: str, among: Sequence[str]) -> bool:
+    """Whether a parameter of an effect acts on several things at once of which others among them act on one each.
+
+    That of a group of sensors acts on the channels of that group alone.
+    """
+    group_of, whole = _groups(simulator), _ends(p)
+    single = [_ends(other) for other in among if _ends(other) not in SHARED]
+    return whole in SHARED and any(group_of.get(one, whole) == whole for one in single)
 
 
 def _ends(name: str) -> str:

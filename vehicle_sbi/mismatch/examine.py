@@ -164,10 +164,10 @@ def _by_effect(found: Sequence[Direction]) -> dict[str, dict[str, list[int]]]:
 
 def _joint(about: Linearised, free: Repertoire, scores: Scores) -> dict[str, Joint]:
     """Effects with several directions: all of them at once, sizes as likely anywhere in their boxes."""
-    found, changes = free.of.directions, free.named
+    found, changes, simulator = free.of.directions, free.named, about.fit.simulator
     together = {}
     for effect, every in _by_effect(found).items():
-        by_parameter = {name: rows for name, rows in every.items() if not shared(name, [*every])}
+        by_parameter = {name: rows for name, rows in every.items() if not shared(simulator, name, [*every])}
         if len(by_parameter) < 2:
             continue
         rows = [ks[int(np.argmax(scores.gain[ks]))] for ks in by_parameter.values()]
