@@ -15,8 +15,8 @@ data.recording data.plausibility data.formats data.readers data.manoeuvre data.n
 inference.prior inference.simulator inference.information inference.setup inference.embedding inference.emulator
 inference.features inference.estimator inference.training inference.proposal inference.rounds inference.predictive
 inference.study inference.calibration
-mismatch.belief mismatch.candidates mismatch.separability mismatch.fit mismatch.search mismatch.full_model
-mismatch.base_fit mismatch.gate mismatch.case
+mismatch.belief mismatch.candidates mismatch.cannot_act mismatch.separability mismatch.fit mismatch.search
+mismatch.full_model mismatch.base_fit mismatch.gate mismatch.case
 mismatch.locate mismatch.laws mismatch.linear mismatch.staircase mismatch.stiction mismatch.detect mismatch.onset
 mismatch.loose mismatch.latent mismatch.repertoire mismatch.beyond mismatch.examine mismatch.foretell mismatch.needed
 mismatch.support

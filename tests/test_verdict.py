@@ -104,7 +104,7 @@ def test_held_out_data_that_is_unlike_what_is_fitted_is_spoken_of_where_nothing_
     found = explain(base, known, rng=np.random.default_rng(0))
     assert not found.detected
     seen = card(base.simulator, base.theta, known)
-    usual, strange = (sentence(found, [], [], [], None, None, seen, covered) for covered in (0.9, 0.57))
+    usual, strange = (sentence(found, [], [], [], [], None, None, seen, covered) for covered in (0.9, 0.57))
     assert strange.startswith(usual)
     assert "57% of it" in strange.removeprefix(usual)
 
@@ -115,12 +115,12 @@ def test_where_nothing_is_missing_it_is_said_which_effects_would_have_shown() ->
     found = explain(base, known[:1], rng=np.random.default_rng(0))
     assert not found.detected
     seen = card(base.simulator, base.theta, known)
-    said = sentence(found, [], [], [], None, None, seen, 0.9)
+    said = sentence(found, [], [], [], [], None, None, seen, 0.9)
     assert f"{len(seen.could_show())} of the {len(CATALOGUE)} known effects" in said
     first = next(iter(seen.could_show().values()))
     assert f"{first.parameter.name} from {first.least} {first.parameter.unit}" in said
     scale = replace(seen, candidates=tuple(c for c in seen.candidates if c.effect == "gyro_scale"))
-    assert "gyro_scale.z from 0.0" in (said := sentence(found, [], [], [], None, None, scale, 0.9))
+    assert "gyro_scale.z from 0.0" in (said := sentence(found, [], [], [], [], None, None, scale, 0.9))
     assert said.endswith(" off 1.")
 
 
@@ -131,5 +131,5 @@ def test_a_false_alarm_says_that_nothing_missing_is_likelier() -> None:
     found = explain(base, known, rng=np.random.default_rng(0))
     assert found.detected
     assert found.p_none > max(found.p_unknown, *found.probability, 0.0)
-    said = sentence(found, [], [], [], None, None, card(base.simulator, base.theta, known), 0.9)
+    said = sentence(found, [], [], [], [], None, None, card(base.simulator, base.theta, known), 0.9)
     assert f"Still the likeliest is that nothing is missing ({found.p_none:.2f})." in said

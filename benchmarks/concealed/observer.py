@@ -176,7 +176,7 @@ class Recorded:
             found = directions(self.fitted, self.theta, effect) if effect.name not in fitted else []
             tried = shapes(found, last) if found else []
             if effect.name in true:
-                own = [replace(d, held={p: truth[p] for p in d.held}) for d in found]
+                own = [replace(d, held={p: truth.get(p, null(p)) for p in d.held}) for d in found]
                 tried = [own, *tried] if len(tried) > 1 else [own]
             asked += [(effect.name, shape) for shape in tried]
         return asked
@@ -184,7 +184,7 @@ class Recorded:
 
 def _size(d: Direction, truth: Truth) -> float:
     """How far the truth goes along a direction."""
-    same = d.parameter in truth and all(truth[p] == value for p, value in d.held.items())
+    same = d.parameter in truth and all(truth.get(p, null(p)) == value for p, value in d.held.items())
     return truth[d.parameter] - null(d.parameter) if same else 0.0
 
 

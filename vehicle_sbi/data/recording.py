@@ -81,6 +81,9 @@ NEEDED: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """What each drive mode needs besides the steering; the rear torque is 0 where it is not recorded."""
 
+DRIVEN_BY: Mapping[str, tuple[str, ...]] = MappingProxyType({**NEEDED, "torque": ()})
+"""The measured speeds that drive the model, by drive mode."""
+
 AXLE_MEANS = MappingProxyType(
     {
         "wheel_speed_front": ("wheel_speed_fl", "wheel_speed_fr"),
@@ -111,6 +114,11 @@ class Windows:
     notes: tuple[str, ...] = ()
     speed_group: str = "can"
     recordings: tuple[str, ...] = ()
+
+    def sensed(self, drive: str) -> dict[str, str]:
+        """The group of sensors of each channel that is recorded, and of the speeds that drive the model."""
+        driving = dict.fromkeys(DRIVEN_BY[drive], self.speed_group)
+        return driving | dict(zip(self.channels, self.groups, strict=True))
 
 
 def one_after_another(recordings: Sequence[Sequence[Windows]]) -> list[float]:

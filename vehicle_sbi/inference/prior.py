@@ -1,6 +1,6 @@
 """Priors: from the nested YAML of a prior file to a parameter space."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
+from vehicle_sbi.physics.sensors import AXES, GROUPS, MEASUREMENTS
 from vehicle_sbi.physics.size import size_of
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, IMU_PRIORS, Vehicle
 
@@ -30,6 +31,13 @@ DELTAS: Mapping[str, Parameter] = {
         _delta("delta_C_alpha_r", "1e5 N/rad", -0.3, 0.3, "C_alpha_r"),
     )
 }
+
+UNUSED = {
+    "torque": (),
+    "wheel_speed": ("I_wf", "I_wr"),
+    "speed": ("C_kappa_f", "C_kappa_r", "I_wf", "I_wr"),
+}
+"""Constants that no measurement depends on in a drive mode: what it is given takes their place."""
 
 KNOWN: Mapping[str, Parameter] = {**GENERIC_PRIORS, **BODY_PRIORS, **IMU_PRIORS, **DELTAS, **EFFECT_PARAMETERS}
 
@@ -59,13 +67,48 @@ def _bounds(name: str, value: Any) -> tuple[float, float]:
     return low, high
 
 
+def unused(drive: str, model: str, sensed: Collection[str]) -> tuple[str, ...]:
+    """Constants that none of the channels depends on, which are `sensed` or drive the model."""
+    turning = model == "full_vehicle" or any(channel.startswith("wheel_speed") for channel in sensed)
+    return (*UNUSED[drive], *(("R_f",) if drive == "speed" and not turning else ()))
+
+
+def reported(p: Parameter, sensed: Mapping[str, str]) -> bool:
+    """Whether a parameter of one sensor or axis, or of a group of them, belongs to what is recorded.
+
+    `sensed` has the group of each channel; of a group with but one channel, the group's parameter stands for both.
+    """
+    leaf = p.name.split(".")[-1]
+    if p.name in AXES:
+        return AXES[p.name] in sensed
+    if leaf in GROUPS:
+        return leaf in sensed.values()
+    if leaf in MEASUREMENTS:
+        return leaf in sensed and [*sensed.values()].count(sensed[leaf]) > 1
+    return True
+
+
+def typical(vehicle: Vehicle, model: str) -> dict[str, float]:
+    """For each constant that the vehicle file leaves out the middle of its box for a car of this size."""
+    size = size_of(vehicle.m, vehicle.L)
+    boxes = {name: size.fitted(KNOWN[name]) for name in vehicle.missing(model)}
+    return {name: 0.5 * (box.low + box.high) for name, box in boxes.items()}
+
+
 def parameter_space(
-    prior: Mapping[str, Any], *, vehicle: Vehicle, model: str, effects: Sequence[str] = ()
+    prior: Mapping[str, Any],
+    *,
+    vehicle: Vehicle,
+    model: str,
+    effects: Sequence[str] = (),
+    drive: str = "torque",
+    sensed: Mapping[str, str] | None = None,
 ) -> ParameterSpace:
     """The free parameters: those of the prior file, those of the effects, and what the vehicle file leaves out.
 
     Boxes that are not stated are those of a car of this size. A null takes a parameter out of the prior, and one of an
-    effect out of the effect: it stays where that vanishes.
+    effect out of the effect: it stays where that vanishes. With what is `sensed` (the group of each channel), neither
+    constants that nothing recorded depends on are freed nor what effects do to sensors that are not recorded.
     Raises InputError for an unknown name, a box with low >= high, or one in which no vehicle exists.
     """
     free: dict[str, Parameter] = {}
@@ -79,9 +122,11 @@ def parameter_space(
     for name in effects:
         if name not in CATALOGUE:
             raise unknown("effect", name, CATALOGUE, "effects")
-        free |= {p.name: size.fitted(p) for p in CATALOGUE[name].parameters if p.name not in stated}
-    set_by_prior = {name for p in free.values() for name in p.fields}
-    free |= {name: size.fitted(KNOWN[name]) for name in vehicle.missing(model) if name not in set_by_prior}
+        own = (p for p in CATALOGUE[name].parameters if sensed is None or reported(p, sensed))
+        free |= {p.name: size.fitted(p) for p in own if p.name not in stated}
+    settled = {name for p in free.values() for name in p.fields}
+    settled |= set() if sensed is None else {*unused(drive, model, sensed)}
+    free |= {name: size.fitted(KNOWN[name]) for name in vehicle.missing(model) if name not in settled}
     if not free:
         raise InputError("prior: no parameter is free; state at least one as name: [low, high]")
     space = ParameterSpace(tuple(free.values()))

@@ -12,7 +12,7 @@ from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording, Windows
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.inference.information import best_fit
-from vehicle_sbi.inference.prior import parameter_space
+from vehicle_sbi.inference.prior import parameter_space, typical
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import nominal_record
@@ -51,9 +51,16 @@ class Setup:
         if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
             raise InputError(f"seed = {self.seed!r}; it must be a whole number that is not negative")
 
-    def space(self) -> ParameterSpace:
-        """The free parameters."""
-        return parameter_space(self.prior, vehicle=self.vehicle, model=self.model, effects=self.effects)
+    def space(self, windows: Windows) -> ParameterSpace:
+        """The free parameters, as far as what is recorded depends on them."""
+        return parameter_space(
+            self.prior,
+            vehicle=self.vehicle,
+            model=self.model,
+            effects=self.effects,
+            drive=self.drive,
+            sensed=windows.sensed(self.drive),
+        )
 
     def windows(self, recording: Recording, source: RecordingFile) -> Windows:
         """The recording cut into windows, with the settings of the file it comes from."""
@@ -80,7 +87,7 @@ class Setup:
         if unseen:
             raise InputError(f"model={self.model}: it does not predict {', '.join(unseen)}; model=full_vehicle does")
         simulator = Simulator(
-            nominal=nominal_record(self.vehicle, duration=float(windows.u[..., INPUTS.index("time")].max())),
+            nominal=self._nominal(space, float(windows.u[..., INPUTS.index("time")].max())),
             space=space,
             model=self.model,
             drive=self.drive,
@@ -95,6 +102,13 @@ class Setup:
         records = space.records(_fastest_corners(simulator, v_min), simulator.nominal)
         steps = substeps_for(records, self.drive, v_min, windows.rate, limit=stiffest, model=self.model)
         return replace(simulator, substeps=steps)
+
+    def _nominal(self, space: ParameterSpace, duration: float) -> np.void:
+        """The vehicle's constants; one that is neither stated nor free, as nothing recorded depends on it, as of a
+        typical car."""
+        free = {name for p in space.parameters for name in p.fields}
+        idle = {name: x for name, x in typical(self.vehicle, self.model).items() if name not in free}
+        return nominal_record(replace(self.vehicle, **idle), duration=duration)
 
 
 def slowest(simulator: Simulator) -> float:

@@ -41,15 +41,16 @@ class Study(Setup):
 
     def prepare(self) -> "Prepared":
         """Load or simulate what is observed, estimate the noise, and put the problem together."""
-        space = self.space()
         if isinstance(self.recording, Synthetic):
-            return self._synthetic(space, self.recording)
-        return self._recorded(space, self.recording)
+            return self._synthetic(self.recording)
+        return self._recorded(self.recording)
 
-    def _synthetic(self, space: ParameterSpace, source: Synthetic) -> "Prepared":
+    def _synthetic(self, source: Synthetic) -> "Prepared":
         if self.drive != "torque":
             raise InputError(f"drive={self.drive}: a synthetic manoeuvre states torques; it needs drive=torque")
-        simulator = self.simulator(space, source.manoeuvre.windows(self.vehicle), uniform_start=True)
+        windows = source.manoeuvre.windows(self.vehicle)
+        space = self.space(windows)
+        simulator = self.simulator(space, windows, uniform_start=True)
         truth = self._truth(space)
         y, outcomes = simulator.simulate(truth[None], np.array([1]), stream=Stream.TRUTH)
         if not succeeded(outcomes)[0]:
@@ -57,10 +58,10 @@ class Study(Setup):
         name = f"{self.vehicle.name} in {source.manoeuvre.name}"
         return Prepared(name, self._problem(simulator, y[0].astype(float)), truth, None)
 
-    def _recorded(self, space: ParameterSpace, source: RecordingFile) -> "Prepared":
+    def _recorded(self, source: RecordingFile) -> "Prepared":
         recording = source.load()
         windows = joined([self.windows(recording, source)], [recording.name])  # whose clock begins with what is used
-        simulator = self.simulator(space, windows, uniform_start=False)
+        simulator = self.simulator(self.space(windows), windows, uniform_start=False)
         observed = np.where(windows.valid, windows.y, 0.0)
         if isinstance(self.noise, EstimatedNoise) and self.noise.model_residual:
             simulator = simulator.with_noise(noise_under_model(simulator, observed, windows))

@@ -151,11 +151,26 @@ class Visible:
 
 
 @dataclass(frozen=True)
+class Unsupported:
+    """A set of effects that would explain something, if one of its sizes could not as well be nothing."""
+
+    effects: tuple[str, ...]
+    parameters: dict[str, Estimate]
+
+    @property
+    def sentence(self) -> str:
+        sizes = "; ".join(quantity(name, e) for name, e in self.parameters.items())
+        return f"{listed(self.effects)} would do best, but may as well be nothing ({sizes})."
+
+
+@dataclass(frozen=True)
 class Verdict:
     """What the diagnosis says; its fields are those of verdict.json. `effects`: how probable it is that each of them is
     missing, whatever else is; `share_explained`: what the likeliest set explains of the squared score of all that was
     found; `could_show` and `invisible`: which the recordings would have shown with a power of 80 %, and which they
-    could not; `warnings`: those of the notes that say why the base model's fit may not be relied on."""
+    could not; `cannot_act`: which change nothing here whatever their size, and why; `unsupported`: sets that are not
+    among the explanations because their sizes may as well be nothing, the likeliest first; `warnings`: those of the
+    notes that say why the base model's fit may not be relied on."""
 
     schema: int
     detected: bool
@@ -173,6 +188,8 @@ class Verdict:
     base_parameters: dict[str, object]
     could_show: dict[str, Visible]
     invisible: list[str]
+    cannot_act: dict[str, str]
+    unsupported: list[Unsupported]
     warnings: list[str]
     notes: list[str]
     sentence: str

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from vehicle_sbi.inference.prior import reported
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, Effect
-from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
+from vehicle_sbi.physics.sensors import GROUPS
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.physics.size import size_of
 
@@ -25,7 +26,6 @@ MOST = 0.9  # of the way to the prior's farther bound, at most
 SHAPES = 3  # values at which a parameter of shape is held
 SPAN = ("start", "duration")
 SHARED = ("factor", *GROUPS)  # names of parameters of both axles, or of all sensors of a group
-DRIVEN_BY = {"speed": ("v_x",), "wheel_speed": ("wheel_speed_front", "wheel_speed_rear"), "torque": ()}
 TILES = 16  # of the recordings' time, of which what comes and goes is made up
 LASTING = 0.5  # of the longest recording, at most
 LENGTHS = (1, 2, 4, 8)  # tiles that something may last, begun at every half of it
@@ -114,27 +114,10 @@ def within(simulator: Simulator, effect: Effect) -> Effect:
     """
     reach = {"start": extent(simulator), "duration": LASTING * longest(simulator)}
     size = size_of(float(simulator.nominal["m"]), float(simulator.nominal["L"]))
-    boxes = (size.fitted(p) for p in effect.parameters if _reported(simulator, p))
+    sensed = simulator.windows.sensed(simulator.drive)
+    boxes = (size.fitted(p) for p in effect.parameters if reported(p, sensed))
     parameters = (replace(p, high=reach.get(_leaf(p), p.high)) for p in boxes)
     return replace(effect, parameters=tuple(parameters))
-
-
-def _reported(simulator: Simulator, p: Parameter) -> bool:
-    """Whether a parameter of one sensor, or of a group of them, belongs to what is recorded; of a group with but one
-    channel, the group's stands for both."""
-    group_of, leaf = _groups(simulator), _leaf(p)
-    if leaf in GROUPS:
-        return leaf in group_of.values()
-    if leaf in MEASUREMENTS:
-        return leaf in group_of and [*group_of.values()].count(group_of[leaf]) > 1
-    return True
-
-
-def _groups(simulator: Simulator) -> dict[str, str]:
-    """The group of sensors of each channel that is recorded, and of the speeds that drive the model."""
-    windows = simulator.windows
-    driving = dict.fromkeys(DRIVEN_BY[simulator.drive], windows.speed_group)
-    return driving | dict(zip(windows.channels, windows.groups, strict=True))
 
 
 def shared(simulator: Simulator, p: str, among: Sequence[str]) -> bool:
@@ -142,7 +125,7 @@ def shared(simulator: Simulator, p: str, among: Sequence[str]) -> bool:
 
     That of a group of sensors acts on the channels of that group alone.
     """
-    group_of, whole = _groups(simulator), _ends(p)
+    group_of, whole = simulator.windows.sensed(simulator.drive), _ends(p)
     single = [_ends(other) for other in among if _ends(other) not in SHARED]
     return whole in SHARED and any(group_of.get(one, whole) == whole for one in single)
 

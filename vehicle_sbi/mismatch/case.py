@@ -65,8 +65,6 @@ class Diagnosis(Setup):
         that is stated: what is missing would have to explain what a misjudged noise does not."""
         if not isinstance(self.noise, EstimatedNoise):
             raise InputError("noise: a diagnosis estimates it from the recordings; leave it at noise=estimated")
-        space = self.space()
-        _check_nulls(space)
         training, held = self._read()
         inputs = {recording.source: recording.sha256 for _, recording in (*training, *held)}
         cut = replace(self, window_s=self._window_s(training, held))
@@ -77,6 +75,8 @@ class Diagnosis(Setup):
             training, held = cut.blocks(training)
             names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
         parts = [cut.windows(recording, file) for file, recording in training]
+        space = self.space(parts[0])
+        _check_nulls(space)
         if self.heldout:
             others = [cut.windows(recording, file) for file, recording in held]
             clock = tuple(one_after_another([[part] for part in apart]) for apart in (parts, others))

@@ -6,7 +6,7 @@ how often noise alone would leave as much. Further recordings, which nothing is 
 model makes them.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,7 +36,8 @@ class Explanation:
 
     `unnamed` are models with a law that the catalogue does not have, the most probable first; `p_told` is how often
     the best one's parameters would seem to move as much from one recording to another, if anything was foretold;
-    `sizes` names the parameters along which effects leave their nulls; `full` is the fit with every effect in.
+    `sizes` names the parameters along which effects leave their nulls; `full` is the fit with every effect in;
+    `doubtful` are sets of which an effect's size may as well be nothing, the likeliest first.
     """
 
     models: list[Model]
@@ -47,6 +48,7 @@ class Explanation:
     p_told: float | None = None
     sizes: tuple[str, ...] = ()
     full: Fit | None = None
+    doubtful: list[Model] = field(default_factory=list)
 
     def foretelling(self, further: Observation) -> "Explanation":
         """With what further recordings say of each model; as it is where the base model fails there.
@@ -73,9 +75,12 @@ class Explanation:
         ).in_order()
 
     def supported(self) -> "Explanation":
-        """Without sets that hold an effect whose size may as well be nothing."""
-        kept = [model for model in self.models if not unsupported(model, self.sizes, self.temper)]
-        return replace(self, models=kept).in_order()
+        """With sets that hold an effect whose size may as well be nothing set aside."""
+        kept, aside = list[Model](), list[Model]()
+        for model in self.models:
+            (aside if unsupported(model, self.sizes, self.temper) else kept).append(model)
+        doubtful = sorted([*self.doubtful, *aside], key=lambda model: -model.weight(self.belief, self.temper))
+        return replace(self, models=kept, doubtful=doubtful).in_order()
 
     @property
     def shares(self) -> list[tuple[Model, float]]:

@@ -22,6 +22,7 @@ from scipy.stats import norm
 from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.candidates import Direction, left_out, null, slopes
+from vehicle_sbi.mismatch.cannot_act import cannot_act
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -74,12 +75,13 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Card:
-    """All candidates of a recording, the coherence between them, the groups that it cannot tell apart, and what is
-    fitted."""
+    """All candidates of a recording, the coherence between them, the groups that it cannot tell apart, what is fitted,
+    and why effects that change nothing here cannot."""
 
     candidates: tuple[Candidate, ...]
     coherence: Float[np.ndarray, "k k"]
     fitted: tuple[str, ...]
+    cannot_act: dict[str, str]
 
     def groups(self) -> list[tuple[str, ...]]:
         """Sets of visible candidates that hang together by coherences above INSEPARABLE, the largest first."""
@@ -99,8 +101,8 @@ class Card:
         return found
 
     def invisible(self) -> list[str]:
-        """Effects of the catalogue that would not show, however large within their prior; what is fitted is none."""
-        apart = self.could_show().keys() | {name.split(".")[0] for name in self.fitted}
+        """Effects that act here and would not show, however large within their prior."""
+        apart = self.could_show().keys() | self.cannot_act.keys() | {name.split(".")[0] for name in self.fitted}
         return [name for name in CATALOGUE if name not in apart]
 
     def visible(self, known: Sequence[Direction]) -> list[Direction]:
@@ -108,11 +110,6 @@ class Card:
         another time than it was tried at."""
         both = zip(known, self.candidates, strict=True)
         return [direction for direction, candidate in both if candidate.visible or direction.clocked]
-
-    def idle(self) -> list[str]:
-        """Those of them that change nothing here at all."""
-        acting = {c.effect for c in self.candidates}
-        return [name for name in self.invisible() if name not in acting]
 
 
 def card(simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[Direction] | None = None) -> Card:
@@ -140,4 +137,4 @@ def card(simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[D
         shown = min(size[k], 0.5 * (p.high - p.low))
         absorbed, part = (dict(zip(names, of[: len(theta), k].tolist(), strict=True)) for of in (shown * moved, taken))
         rows.append(Candidate(p, float(retained[k]), float(size[k]), absorbed, part))
-    return Card(tuple(rows), coherence, names)
+    return Card(tuple(rows), coherence, names, cannot_act(simulator, theta, {d.effect for d in found}))

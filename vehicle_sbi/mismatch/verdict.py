@@ -19,6 +19,7 @@ from vehicle_sbi.mismatch.answer import (
     Place,
     Score,
     Unknown,
+    Unsupported,
     Verdict,
     Visible,
     listed,
@@ -43,7 +44,7 @@ from vehicle_sbi.mismatch.wording import SPOKEN_OF, distrusted, sentence
 from vehicle_sbi.physics.effects import CATALOGUE
 
 SCHEMA = 1
-LISTED = 40  # explanations at most
+LISTED, DOUBTED = 40, 5  # explanations at most, and sets that may be nothing
 LIKELY = 0.02  # probability of sets, from which doubts about them are worth a note
 CORNERED = 2  # base parameters on rims, from which the fit is said to be in a corner
 MISFIT = 2.0  # times the sensor's own noise, from which what is left over is worth a warning
@@ -93,6 +94,11 @@ def _named(explanation: Explanation, k: int) -> Named:
     return Named(model.effects, explanation.probability[k], beside, own, foretold, _acts(model, own))
 
 
+def _unsupported(model: Model, power: float) -> Unsupported:
+    own = zip(estimates(model, power).items(), model.own, strict=True)
+    return Unsupported(model.effects, {name: value for (name, value), mine in own if mine})
+
+
 def _acts(model: Model, own: Mapping[str, Estimate]) -> dict[str, list[Stretch]]:
     """When each effect that is tied to the clock acts: a profile throughout, what comes and goes from the median of
     when it begins to that of when it ends."""
@@ -134,7 +140,8 @@ def verdict(
     base = explanation.base.model.fit
     cornered = _rim(base)
     warnings = [*case.warnings, *_cornered(cornered), *passed.notes, *cornered, *_misfit(base)]
-    said = sentence(explanation, found, mismatch, together, unknown, accepted, seen, covered)
+    doubtful = [_unsupported(model, explanation.temper) for model in explanation.doubtful[:DOUBTED]]
+    said = sentence(explanation, found, doubtful, mismatch, together, unknown, accepted, seen, covered)
     return Verdict(
         schema=SCHEMA,
         detected=explanation.detected,
@@ -155,6 +162,8 @@ def verdict(
         },
         could_show={name: Visible(c.parameter.name, c.size, c.parameter.unit) for name, c in seen.could_show().items()},
         invisible=seen.invisible(),
+        cannot_act=seen.cannot_act,
+        unsupported=doubtful,
         warnings=warnings,
         notes=[*warnings, *_doubts(explanation), *_unpredicted(explanation, predictions), *case.notes],
         sentence=said if passed.trusted and not _cornered(cornered) else distrusted(said),

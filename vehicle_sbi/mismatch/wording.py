@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from vehicle_sbi.mismatch.acceptance import Acceptance
-from vehicle_sbi.mismatch.answer import Estimate, Named, Place, Unknown, listed, quantity
+from vehicle_sbi.mismatch.answer import Estimate, Named, Place, Unknown, Unsupported, listed, quantity
 from vehicle_sbi.mismatch.candidates import null
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.locate import Stretch, lies_in, spoken
@@ -20,6 +20,7 @@ SPOKEN_OF = 0.2  # probability from which effects, and something unknown, are sp
 def sentence(
     explanation: Explanation,
     found: Sequence[Named],
+    doubtful: Sequence[Unsupported],
     mismatch: Sequence[Place],
     together: Sequence[Sequence[str]],
     unknown: Unknown | None,
@@ -35,7 +36,7 @@ def sentence(
             f"what is left over looks like noise. {_limits(seen)}"
         )
         return said if covered >= HARDLY_COVERED else f"{said} {_unlike(covered)}"
-    said = [_difference(explanation.p_value, mismatch), _answer(explanation, found, unknown)]
+    said = [_difference(explanation.p_value, mismatch), _answer(explanation, found, doubtful, unknown)]
     if unknown is not None and unknown.sentence:
         said.append(unknown.sentence)
     others = [effects for effects in together if effects != found[0].effects]
@@ -67,11 +68,15 @@ def _difference(p_value: float, mismatch: Sequence[Place]) -> str:
     return f"Simulation and recording differ (p = {p_value:.2g}){''.join(where)}."
 
 
-def _answer(explanation: Explanation, found: Sequence[Named], unknown: Unknown | None) -> str:
+def _answer(
+    explanation: Explanation, found: Sequence[Named], doubtful: Sequence[Unsupported], unknown: Unknown | None
+) -> str:
     """What explains it, as far as anything known does."""
     nothing = f"Still the likeliest is that nothing is missing ({explanation.p_none:.2f})"
     if not found:
-        return f"{nothing}." if explanation.p_none > explanation.p_unknown else "No known effect explains any of it."
+        nothing_known = "No known effect explains any of it for certain."
+        said = f"{nothing}." if explanation.p_none > explanation.p_unknown else nothing_known
+        return " ".join([said, *(one.sentence for one in doubtful[:1])])
     best, examined = found[0], explanation.best
     named, verb = listed(best.effects), "explains" if len(best.effects) == 1 else "explain"
     share = f"{examined.share_explained:.0%}" if examined.model.effects == best.effects else ""
@@ -123,7 +128,7 @@ def _limits(seen: Card) -> str:
     shown = seen.could_show()
     if not shown:
         return "But they are too short or too gentle to show any known effect."
-    known = len(shown) + len(seen.invisible())
+    known = len(shown) + len(seen.invisible()) + len(seen.cannot_act)
     best = ", ".join(f"{c.parameter.name} from {_least(c)}" for c in list(shown.values())[:EXAMPLES])
     return f"They would have shown {len(shown)} of the {known} known effects that are not fitted, among them {best}."
 

@@ -25,6 +25,15 @@ MEASUREMENTS = (
 ROW_FRONT, ROW_REAR, ROW_SPEED = (MEASUREMENTS.index(name) for name in ("wheel_speed_front", "wheel_speed_rear", "v_x"))
 BODY_MEASUREMENTS = ("a_z", "roll_rate", "pitch_rate")  # which a model without roll and pitch does not predict
 GROUPS = ("imu", "can", "wheel_speed")
+AXES = {
+    **{f"accelerometer_{kind}.{axis}": f"a_{axis}" for kind in ("scale", "bias") for axis in "xyz"},
+    **{
+        f"gyro_{kind}.{axis}": rate
+        for kind in ("scale", "bias")
+        for axis, rate in (("x", "roll_rate"), ("y", "pitch_rate"), ("z", "yaw_rate"))
+    },
+}
+"""What each gain and offset of an axis acts on, by the name of its parameter."""
 
 
 @compiled

@@ -28,4 +28,7 @@ def could_show(seen: Card) -> pd.DataFrame:
 def hidden(seen: Card) -> list[str]:
     """What the table does not say: effects that hang together, and those that cannot act here."""
     said = [f"Not told apart: {', '.join(group)}." for group in seen.groups()]
-    return [*said, f"Without any effect here: {', '.join(seen.idle())}."] if seen.idle() else said
+    why: dict[str, list[str]] = {}
+    for name, reason in seen.cannot_act.items():
+        why.setdefault(reason, []).append(name)
+    return [*said, *(f"Cannot act here: {', '.join(names)} ({reason})." for reason, names in why.items())]
