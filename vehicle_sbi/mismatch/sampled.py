@@ -23,6 +23,7 @@ from vehicle_sbi.mismatch.fit import Fit, descend, with_own_noise
 
 MOST = 8  # parameters of effects together: more of them are the values of a profile, which act alike
 MOST_SAMPLES = 25_000  # of all channels together; ten thousand simulations of more of them take more than minutes
+MOST_INTEGRATED = 5_000  # steps of a simulation, for the same reason; where wheels turn freely there are many a sample
 LIKELY = 0.2  # probability of a set, alone or beside something unknown, from which its sizes are worth the time
 POINTS = 200
 KEPT = 0.5  # of the points count after each step
@@ -97,12 +98,18 @@ def sized(found: Explanation, rng: np.random.Generator) -> Explanation:
     if not (found.detected and found.models) or found.standing[0] < LIKELY:
         return found
     model, *others = found.models
-    if not len(model.effects) < int(model.own.sum()) <= MOST or model.fit.at.y.size > MOST_SAMPLES:
+    if not len(model.effects) < int(model.own.sum()) <= MOST or _takes_minutes(model.fit):
         return found
     draws = sampled(model, found.temper, rng)
     if draws is None:
         return found
     return replace(found, models=[replace(_at_its_best(model, draws), posterior=draws), *others])
+
+
+def _takes_minutes(fit: Fit) -> bool:
+    """Whether ten thousand simulations take more than minutes."""
+    simulator = fit.simulator
+    return fit.at.y.size > MOST_SAMPLES or simulator.windows.t.size * simulator.substeps > MOST_INTEGRATED
 
 
 def _at_its_best(model: Model, draws: Float[np.ndarray, "n d"]) -> Model:
