@@ -160,12 +160,13 @@ def prove(
                 bar.update()
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-    built = [i for i in range(n) if (folder / "cases" / f"{i:04d}" / "case.yaml").exists()]
+    asked = {i: BENCHMARKS[mix].asked(folder / "cases" / f"{i:04d}") for i in range(n)}
+    built = [i for i, folders in asked.items() if all((one / "case.yaml").exists() for one in folders)]
     if not built:
         raise InputError(f"no case could be built in {folder}")
     command = f"python scripts/prove.py cases={n} seed={seed} mix={mix}"
     table, page = BENCHMARKS[mix].judged(folder, built, (by.name, *beside), command, machine(workers))
-    judged = any((folder / "cases" / f"{i:04d}" / by.name).exists() for i in built)
+    judged = any((one / by.name).exists() for i in built for one in asked[i])
     where = results if judged else folder
     written = mix if by.own and not beside else "_".join([mix, by.name, *beside])
     write_text(where / f"{written}.csv", table.to_csv(index=False, float_format="%.6g"))

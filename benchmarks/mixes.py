@@ -6,6 +6,7 @@ from typing import Protocol
 
 import pandas as pd
 from concealed.benchmark import Concealed
+from injected.benchmark import Injected
 from whole_car.benchmark import WholeCars
 
 
@@ -35,4 +36,5 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     "concealed": Concealed("concealed"),
     "nothing": Concealed("nothing"),
     "whole_car": WholeCars(),
+    "injected": Injected(),
 }

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from concealed.outside import OUTSIDE
+from measures import shown
 from whole_car import cases, oracle, page
 from whole_car.cars import INHERENT, LATERAL, OFF, RATE, whole_car
 from whole_car.missing import FEWEST, MOST, REAL
@@ -151,7 +152,7 @@ def test_an_interval_of_a_measure_holds_its_value_and_narrows_with_cases() -> No
     measure = next(m for m in page.MEASURES if "not there" in m.label)
     widths = []
     for n in (10, 1000):
-        value, low, high = map(float, re.findall(r"\d\.\d+", page.shown(measure, cars(n))))
+        value, low, high = map(float, re.findall(r"\d\.\d+", shown(measure, cars(n))))
         assert low <= value <= high
         widths.append(high - low)
     assert widths[1] < widths[0]

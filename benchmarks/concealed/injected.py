@@ -33,20 +33,38 @@ Series = dict[str, np.ndarray]
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """A real recording: its configuration's name, its vehicle's, lengths [s] of the training and the held-out part."""
+    """A real recording: its vehicle's name, lengths [s] of the training and the held-out part, what is predicted, how
+    far l_f may be off [m]; another file in place of its configuration's, below the folder of recordings."""
 
+    configuration: str
     vehicle: str
     train_s: float
     heldout_s: float
     channels: tuple[str, ...]
+    v_min: float = 3.0  # [m/s]
+    l_f_off: float = 0.3
+    file: str | None = None
+
+    def content(self) -> dict:
+        """Its configuration, with the path of the file."""
+        content = yaml.safe_load((ROOT / "conf" / "recording" / f"{self.configuration}.yaml").read_text())["recording"]
+        folder = os.environ.get("VEHICLE_SBI_RECORDINGS", "../shared/recordings")
+        named = content["path"].replace("${oc.env:VEHICLE_SBI_RECORDINGS,../shared/recordings}", folder)
+        content["path"] = str(ROOT / (f"{folder}/{self.file}" if self.file else named))
+        return {key: value for key, value in content.items() if key != "_target_"}
 
 
 SOURCES: Mapping[str, Source] = {
-    "volvo_s90_slalom": Source(vehicle="volvo_s90", train_s=20.0, heldout_s=10.0, channels=("a_y", "yaw_rate")),
-    "ferrari_250lm": Source(vehicle="ferrari_250lm", train_s=30.0, heldout_s=20.0, channels=("a_y", "yaw_rate")),
-    "toyota_rav4_car": Source(vehicle="toyota_rav4", train_s=30.0, heldout_s=15.0, channels=("a_x", "yaw_rate")),
-}
-V_MIN = 3.0  # [m/s]
+    one.configuration: one
+    for one in (
+        Source(configuration="volvo_s90_slalom", vehicle="volvo_s90", train_s=20.0, heldout_s=10.0,
+               channels=("a_y", "yaw_rate")),
+        Source(configuration="ferrari_250lm", vehicle="ferrari_250lm", train_s=30.0, heldout_s=20.0,
+               channels=("a_y", "yaw_rate")),
+        Source(configuration="toyota_rav4_car", vehicle="toyota_rav4", train_s=30.0, heldout_s=15.0,
+               channels=("a_x", "yaw_rate")),
+    )
+}  # fmt: skip
 INJECTED = {
     "steering_ratio": ("gain",),
     "sensor_delay": ("imu",),
@@ -60,18 +78,9 @@ INJECTED = {
 """Effects of the catalogue that can be put into recorded channels, and which of their parameters."""
 
 
-def available() -> list[str]:
+def available(sources: Mapping[str, Source] = SOURCES) -> list[str]:
     """The sources whose files are here."""
-    return [name for name in SOURCES if Path(_configuration(name)["path"]).exists()]
-
-
-def _configuration(name: str) -> dict:
-    content = yaml.safe_load((ROOT / "conf" / "recording" / f"{name}.yaml").read_text())["recording"]
-    folder = os.environ.get("VEHICLE_SBI_RECORDINGS", "../shared/recordings")
-    content["path"] = str(
-        ROOT / content["path"].replace("${oc.env:VEHICLE_SBI_RECORDINGS,../shared/recordings}", folder)
-    )
-    return {key: value for key, value in content.items() if key != "_target_"}
+    return [name for name, one in sources.items() if Path(one.content()["path"]).exists()]
 
 
 def _cut(recording: Recording, start: float, stop: float, ratio: float | None) -> Recording:
@@ -110,7 +119,7 @@ def _given(rng: np.random.Generator, source: Source, effect: str | None) -> Give
     prior = {
         "C_alpha_f": (0.5 * known.C_alpha_f, 2.5 * known.C_alpha_f),
         "C_alpha_r": (0.5 * known.C_alpha_r, 2.5 * known.C_alpha_r),
-        "l_f": (known.l_f - 0.3, known.l_f + 0.3),
+        "l_f": (known.l_f - source.l_f_off, known.l_f + source.l_f_off),
         "steering_offset.angle": (-0.02, 0.02),
     }
     if effect not in ("steering_ratio", "gyro_scale", "accelerometer_scale") and rng.uniform() < 0.6:
@@ -120,7 +129,7 @@ def _given(rng: np.random.Generator, source: Source, effect: str | None) -> Give
     if effect != "gyro_bias":
         prior["gyro_bias.z"] = (-0.02, 0.02)
     return Given(
-        vehicle=vehicle, model="single_track", drive="speed", channels=source.channels, prior=prior, v_min=V_MIN
+        vehicle=vehicle, model="single_track", drive="speed", channels=source.channels, prior=prior, v_min=source.v_min
     )
 
 
@@ -133,8 +142,17 @@ class Stretch:
     train: Recording
     heldout: Recording
     extreme: Mapping[str, float]
-    measure: Callable[[float], float | None]
+    change: Callable[[float], np.ndarray | None]
+    projection: Projection
     theta: np.ndarray
+
+    def measure(self, strength: float) -> float | None:
+        """The signal-to-noise ratio of what is injected beyond what the base model's parameters can take over."""
+        change = self.change(strength)
+        return None if change is None else snr(self.projection.left(change[None]))
+
+    def parameters(self, effect: str, strength: float) -> dict[str, float]:
+        return _parameters(self.extreme, effect, strength)
 
 
 def _parameters(extreme: Mapping[str, float], effect: str, strength: float) -> dict[str, float]:
@@ -142,10 +160,10 @@ def _parameters(extreme: Mapping[str, float], effect: str, strength: float) -> d
     return {key: null[key] + strength * (value - null[key]) for key, value in extreme.items()}
 
 
-def _stretch(rng: np.random.Generator, effect: str | None, source: str) -> Stretch:
-    facts = SOURCES[source]
+def stretch(rng: np.random.Generator, effect: str | None, source: str, facts: Source) -> Stretch:
+    """Anywhere in a recording; InputError where nothing of it can be used."""
     given = _given(rng, facts, effect)
-    recording = RecordingFile(**_configuration(source)).load()
+    recording = RecordingFile(**facts.content()).load()
     length = float(recording.t[-1] - recording.t[0])
     begin = recording.t[0] + rng.uniform(0.0, max(length - facts.train_s - facts.heldout_s - 1.0, 0.0))
     ratio, middle = given.vehicle.steering_ratio, begin + facts.train_s
@@ -175,7 +193,7 @@ def _stretch(rng: np.random.Generator, effect: str | None, source: str) -> Stret
         reported = [changed(dict(zip(facts.channels, w, strict=True)), t, {effect or "": parameters}) for w in windows]
         return np.concatenate([np.stack([w[c] for c in facts.channels]) for w in reported], axis=1)
 
-    def measure(strength: float) -> float | None:
+    def changed_by(strength: float) -> np.ndarray | None:
         parameters = _parameters(extreme, effect or "", strength)
         change = read(parameters) - quiet
         if effect in ("steering_ratio", "steering_delay"):
@@ -183,11 +201,12 @@ def _stretch(rng: np.random.Generator, effect: str | None, source: str) -> Stret
             if moved.windows.y.shape != quiet.shape:
                 return None
             change = quiet - moved.noise_free(theta[None])[0]
-        return snr(projection.left(change[None])) if np.isfinite(change).all() else None
+        return change if np.isfinite(change).all() else None
 
     return Stretch(
-        source=source, given=given, train=train, heldout=heldout, extreme=extreme, measure=measure, theta=theta
-    )
+        source=source, given=given, train=train, heldout=heldout, extreme=extreme, change=changed_by,
+        projection=projection, theta=theta,
+    )  # fmt: skip
 
 
 def build(seed: int, wanted: Slot, case: Path, sealed: Path) -> None:
@@ -199,7 +218,8 @@ def build(seed: int, wanted: Slot, case: Path, sealed: Path) -> None:
         if not here:
             raise InputError("level L2 needs the real recordings; VEHICLE_SBI_RECORDINGS names their folder")
         try:
-            one = _stretch(rng, effect, here[int(rng.integers(len(here)))])
+            name = here[int(rng.integers(len(here)))]
+            one = stretch(rng, effect, name, SOURCES[name])
         except InputError:
             continue  # the stretch has no usable window
         chosen = chosen or one

@@ -91,7 +91,7 @@ def _truth(index: int, car: WholeCar, series: Sequence[Series]) -> dict[str, Any
     projection = Projection(simulator, at)
     changes = projection.left(np.array([_change(car, simulator, at, name) for name in car.effects]))
     shows, beyond = [snr(row) for row in changes], [_beyond(changes, i) for i in range(len(changes))]
-    alike = _alike(projection, changes)
+    alike = alike_to(projection, changes)
     return {
         "index": index,
         "world": car.world_name,
@@ -132,7 +132,7 @@ def _beyond(changes: np.ndarray, i: int) -> float:
     return snr(remove(changes[i : i + 1], np.delete(changes, i, axis=0), entirely=True))
 
 
-def _alike(projection: Projection, changes: np.ndarray) -> list[list[str]]:
+def alike_to(projection: Projection, changes: np.ndarray) -> list[list[str]]:
     """For each change the effects of the catalogue whose parameters, all free, would change (nearly) the same."""
     found = candidates(projection.simulator, projection.theta)
     g = projection.left(slopes(projection.simulator, projection.theta, found))

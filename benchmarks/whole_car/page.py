@@ -1,40 +1,16 @@
 """The whole cars' page: every measure with its interval, for each diagnosis and method side by side."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from measures import Measure, listed, mean, median, rms, shown
 
 from vehicle_sbi.report.tables import markdown
 from whole_car.scores import NAMED, STRONG, Parameters, Scored
 
-DRAWS, LEVEL = 1000, 0.9  # of the bootstrap over cases, and its intervals'
 BINS = 10  # of stated probabilities
 OWN = "this project"
-
-
-@dataclass(frozen=True)
-class Measure:
-    """A row: what each case adds to a statistic over all cases; what would be good, and the aim."""
-
-    label: str
-    of: Callable[[Scored], np.ndarray]
-    statistic: Callable[[np.ndarray], float]
-    good: str = ""
-    aim: str = ""
-
-
-def _mean(x: np.ndarray) -> float:
-    return float(np.mean(x))
-
-
-def _median(x: np.ndarray) -> float:
-    return float(np.median(x))
-
-
-def _rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(x**2)))
 
 
 def _share(x: np.ndarray) -> float:
@@ -49,10 +25,6 @@ def calibration(x: np.ndarray) -> float:
     return float(np.abs(gap).sum() / len(x))
 
 
-def _listed(*values: float | None) -> np.ndarray:
-    return np.array([v for v in values if v is not None], dtype=float)
-
-
 def _base(when: str, what: str) -> Callable[[Scored], np.ndarray]:
     def of(one: Scored) -> np.ndarray:
         found: Parameters | None = getattr(one, when)
@@ -62,63 +34,49 @@ def _base(when: str, what: str) -> Callable[[Scored], np.ndarray]:
 
 
 def _unknown(outside: bool) -> Callable[[Scored], np.ndarray]:
-    return lambda one: _listed(one.p_unknown) > NAMED if bool(one.outside) == outside else np.zeros(0)
+    return lambda one: listed(one.p_unknown) > NAMED if bool(one.outside) == outside else np.zeros(0)
 
 
 BASE = (("before", "base model"), ("after", "after diagnosis"), ("oracle", "oracle"))
-MEASURES = (
+MEASURES: tuple[Measure[Scored], ...] = (
     *(
-        Measure(f"base parameters: relative error, median, {said}", _base(when, "relative"), _median, good, aim)
+        Measure(f"base parameters: relative error, median, {said}", _base(when, "relative"), median, good, aim)
         for (when, said), good, aim in zip(BASE, ("", "half of before", ""), ("", "0.02", ""), strict=True)
     ),
     *(
-        Measure(f"their 90 % intervals hold the truth, {said}", _base(when, "held"), _mean, good, aim)
+        Measure(f"their 90 % intervals hold the truth, {said}", _base(when, "held"), mean, good, aim)
         for (when, said), good, aim in zip(BASE, ("", "0.85", ""), ("", "0.90 ± 0.03", ""), strict=True)
     ),
     *(
-        Measure(f"their rms error in own standard deviations, {said}", _base(when, "in_std"), _rms, good, aim)
+        Measure(f"their rms error in own standard deviations, {said}", _base(when, "in_std"), rms, good, aim)
         for (when, said), good, aim in zip(BASE, ("", "1.3", ""), ("", "1.1", ""), strict=True)
     ),
     Measure(
         f"effects with SNR {STRONG:g} beyond all others: inclusion above {NAMED}",
-        lambda one: np.array(list(one.strong.values())) > NAMED, _mean, "0.80", "0.95",
+        lambda one: np.array(list(one.strong.values())) > NAMED, mean, "0.80", "0.95",
     ),
     Measure(
         "the same, or of what cannot be told from it",
-        lambda one: np.array(list(one.alike.values())) > NAMED, _mean,
+        lambda one: np.array(list(one.alike.values())) > NAMED, mean,
     ),
     Measure(
-        f"names above {NAMED} that are not there, a case", lambda one: _listed(len(one.wrong)), _mean, "0.3", "0.1"
+        f"names above {NAMED} that are not there, a case", lambda one: listed(len(one.wrong)), mean, "0.3", "0.1"
     ),
-    Measure(f"names above {NAMED}, a case", lambda one: _listed(len(one.names)), _mean),
+    Measure(f"names above {NAMED}, a case", lambda one: listed(len(one.names)), mean),
     Measure("calibration error of inclusion probabilities", lambda one: one.inclusion, calibration, "0.05", "0.03"),
-    Measure("sizes of named effects: 90 % intervals hold", lambda one: one.sizes, _mean, "0.85", "0.90"),
+    Measure("sizes of named effects: 90 % intervals hold", lambda one: one.sizes, mean, "0.85", "0.90"),
     Measure(
         "share of the held-out misfit that the oracle removes",
         lambda one: np.array([[one.gained, one.reducible]]) if one.reducible else np.zeros((0, 2)),
         _share, "0.80", "0.95",
     ),
     Measure(
-        "extended model accepted", lambda one: _listed(None if one.accepted is None else float(one.accepted)), _mean
+        "extended model accepted", lambda one: listed(None if one.accepted is None else float(one.accepted)), mean
     ),
-    Measure(f"p_unknown above {NAMED}, something outside the catalogue", _unknown(True), _mean),
-    Measure(f"p_unknown above {NAMED}, nothing outside", _unknown(False), _mean),
-    Measure("seconds a diagnosis, median", lambda one: _listed(one.seconds), _median, "45", "15"),
+    Measure(f"p_unknown above {NAMED}, something outside the catalogue", _unknown(True), mean),
+    Measure(f"p_unknown above {NAMED}, nothing outside", _unknown(False), mean),
+    Measure("seconds a diagnosis, median", lambda one: listed(one.seconds), median, "45", "15"),
 )  # fmt: skip
-
-
-def shown(measure: Measure, cases: Sequence[Scored]) -> str:
-    """Value, 90 % interval by a bootstrap over cases, and the number of values, as `0.86 (0.79 to 0.91; 52)`."""
-    parts = [part for one in cases if len(part := np.asarray(measure.of(one), dtype=float))]
-    if not parts:
-        return ""
-    rng, drawn = np.random.default_rng(0), []
-    for _ in range(DRAWS):
-        drawn.append(measure.statistic(np.concatenate([parts[i] for i in rng.integers(0, len(parts), len(parts))])))
-    low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    whole = np.concatenate(parts)
-    value, digits = measure.statistic(whole), 3 if abs(high) < 0.2 else 2 if abs(high) < 10 else 1
-    return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f}; {len(whole)})"
 
 
 def compared(columns: Mapping[str, Sequence[Scored]]) -> pd.DataFrame:
@@ -180,7 +138,7 @@ def report(columns: Mapping[str, Sequence[Scored]], command: str, where: str) ->
 def table(cases: Sequence[Scored]) -> pd.DataFrame:
     """A row per case."""
 
-    def mean(values: np.ndarray | None) -> float | None:
+    def average(values: np.ndarray | None) -> float | None:
         return None if values is None or not len(values) else float(np.mean(values))
 
     return pd.DataFrame(
@@ -195,12 +153,12 @@ def table(cases: Sequence[Scored]) -> pd.DataFrame:
             "should be named": len(one.strong),
             "of those named": sum(p > NAMED for p in one.strong.values()),
             **{
-                f"{what} {when}": mean(None if found is None else getattr(found, key))
+                f"{what} {when}": average(None if found is None else getattr(found, key))
                 for when in ("before", "after", "oracle")
                 for found in (getattr(one, when),)
                 for what, key in (("relative error", "relative"), ("interval holds", "held"))
             },
-            "sizes hold": mean(one.sizes),
+            "sizes hold": average(one.sizes),
             "misfit removed": one.gained / one.reducible if one.reducible else None,
             "accepted": one.accepted,
             "p_unknown": one.p_unknown,
