@@ -19,7 +19,8 @@ from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.report.figures import MEASURED, POSTERIOR, STYLE
 from vehicle_sbi.rng import Stream, generator
 
-SHOWN = ("a_x", "a_y", "yaw_rate", "wheel_speed_front", "wheel_speed_rear")
+SHOWN: tuple[str, ...] = ("a_x", "a_y", "yaw_rate", "wheel_speed_front", "wheel_speed_rear")
+SIMULATED: tuple[str, ...] = (*SHOWN, "v_x")  # shown where an effect acts on nothing else
 STAGES = {"command": "Command to wheels", "force": "Forces on the body", "tyre": "Tyres", "sensor": "Sensors"}
 DPI = 80
 AWAKE = 0.5  # of the way from null to the farther bound
@@ -38,7 +39,7 @@ def awake(effect: Effect) -> dict[Parameter, float]:
 
 def exemplar(vehicle: Vehicle, manoeuvre: Manoeuvre, model: str) -> Simulator:
     """A simulator of the vehicle in the manoeuvre, without any noise and with nothing free."""
-    windows = replace(manoeuvre, channels=SHOWN).windows(vehicle)
+    windows = replace(manoeuvre, channels=SIMULATED).windows(vehicle)
     quiet = ProcessNoise(stiffness=0.0)
     return Simulator(
         nominal=nominal_record(vehicle, duration=manoeuvre.duration),
@@ -47,7 +48,7 @@ def exemplar(vehicle: Vehicle, manoeuvre: Manoeuvre, model: str) -> Simulator:
         drive="torque",
         windows=windows,
         process=quiet.draw(generator(seed=0, stream=Stream.STUDY)),
-        noise=ConstantNoise(std=dict.fromkeys(SHOWN, 1.0), process=quiet).measurement(windows),
+        noise=ConstantNoise(std=dict.fromkeys(SIMULATED, 1.0), process=quiet).measurement(windows),
         uniform_start=True,
         substeps=SUBSTEPS,
         seed=0,
@@ -63,12 +64,14 @@ def response(simulator: Simulator, values: dict[Parameter, float]) -> Float[np.n
 def picture(simulator: Simulator, effect: Effect, path: Path) -> None:
     """Each channel without the effect (grey) and with it awake (blue)."""
     t = simulator.windows.t[0]
-    without, present = response(simulator, {}), response(simulator, awake(effect))
+    without, present = (dict(zip(SIMULATED, response(simulator, at), strict=True)) for at in ({}, awake(effect)))
+    acts = [name for name in SIMULATED if not np.array_equal(without[name], present[name])]
+    names = SHOWN if set(acts) & set(SHOWN) else acts or SHOWN
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(12.0, 2.0), layout="constrained")
-        for axis, name, before, after in zip(figure.subplots(1, len(SHOWN)), SHOWN, without, present, strict=True):
-            axis.plot(t, before, color=MEASURED, linewidth=1.0, alpha=0.6)
-            axis.plot(t, after, color=POSTERIOR, linewidth=1.2)
+        figure = Figure(figsize=(2.4 * len(names), 2.0), layout="constrained")
+        for axis, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
+            axis.plot(t, without[name], color=MEASURED, linewidth=1.0, alpha=0.6)
+            axis.plot(t, present[name], color=POSTERIOR, linewidth=1.2)
             axis.set_title(f"{name.replace('_', ' ')} [{CHANNELS[name].unit}]")
             axis.set_xlabel("t [s]")
         write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None}))
