@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +14,14 @@ from vehicle_sbi.inference.features import Score
 from vehicle_sbi.inference.rounds import Truncated
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.mismatch.candidates import directions, left_out
-from vehicle_sbi.mismatch.examine import Model
-from vehicle_sbi.mismatch.explain import explain
+from vehicle_sbi.mismatch.examine import Model, versions
+from vehicle_sbi.mismatch.explain import explain, extended
 from vehicle_sbi.mismatch.reinfer import Reinference
 from vehicle_sbi.mismatch.separability import card
-from vehicle_sbi.mismatch.verdict import estimates, exchangeable
+from vehicle_sbi.mismatch.verdict import _unsupported, estimates, exchangeable
 from vehicle_sbi.mismatch.wording import sentence
 from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.report import diagnosis
 
 AGAIN = Reinference(
     features=Score(),
@@ -133,3 +136,25 @@ def test_a_false_alarm_says_that_nothing_missing_is_likelier() -> None:
     assert found.p_none > max(found.p_unknown, *found.probability, 0.0)
     said = sentence(found, [], [], [], [], None, None, card(base.simulator, base.theta, known), 0.9)
     assert f"Still the likeliest is that nothing is missing ({found.p_none:.2f})." in said
+
+
+def test_a_page_without_any_set_of_effects_says_how_probable_nothing_and_unknown_are() -> None:
+    answer: Any = SimpleNamespace(explanations=[], p_none=0.32, p_unknown=0.68)
+    table = diagnosis._explanations(answer)
+    assert table.to_dict("list") == {"explanation": ["none", "unknown"], "probability": ["0.320", "0.680"]}
+
+
+def test_a_set_whose_size_may_be_nothing_is_set_aside_and_spoken_of() -> None:
+    # A bias of half of its standard deviation: the fit holds it, its interval holds none.
+    base = fitted(recorded(lateral()))
+    known = directions(base.simulator, base.theta, CATALOGUE["gyro_bias"])
+    found = explain(base, known, rng=np.random.default_rng(0))
+    none, examined = found.base.model, found.base
+    version = versions(examined)[0]
+    extended_model = extended(none, version)
+    assert extended_model is not None
+    doubtful = replace(found, models=[extended_model], doubtful=[]).supported()
+    assert (doubtful.models, doubtful.doubtful) == ([], [extended_model])
+    aside = _unsupported(extended_model, doubtful.temper)
+    assert [*aside.parameters] == ["gyro_bias.z"]
+    assert aside.sentence.startswith("gyro_bias would do best, but may as well be nothing (gyro_bias.z = ")
