@@ -259,3 +259,17 @@ def test_a_wrong_value_gets_one_line(files: Path, tmp_path: Path, arguments: lis
     assert err.count("\n") == 1
     assert line in err
     assert not folder.exists()
+
+
+def test_a_recording_of_a_private_config_directory_is_named_like_one_of_the_project(tmp_path: Path) -> None:
+    (tmp_path / "recording").mkdir()
+    content = (ROOT / "conf" / "recording" / "ferrari_250lm.yaml").read_text()
+    path = re.sub(r"path: .*", f"path: {tmp_path}/mine.csv", content)
+    (tmp_path / "recording" / "mine.yaml").write_text(path)
+    status, out, err = diagnose("--config-dir", str(tmp_path), "recordings=[mine]", f"hydra.run.dir={tmp_path}/run")
+    assert (status, out) == (2, "")
+    assert "mine.csv" in err  # which its configuration names, and which is not there
+    assert err.count("\n") == 1
+    status, _, err = diagnose("--config-dir", str(tmp_path), "recordings=[mime]", f"hydra.run.dir={tmp_path}/run")
+    assert status == 2
+    assert err.startswith("error: recording: unknown option 'mime'; known: mine, ")
