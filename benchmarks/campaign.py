@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from mixes import BENCHMARKS
+from score_files import called, lines_of
 from tqdm import tqdm
 
 from vehicle_sbi.errors import InputError, unknown
@@ -139,7 +140,8 @@ def prove(
 ) -> str:  # fmt: skip
     """Run what is missing, write RESULTS/MIX.csv and .md (with a verdict at least), and return the page.
 
-    `beside` names diagnoses of the same cases that stand already, to be shown beside this one.
+    Cases whose scores stand in RESULTS/MIX_SEED_NAME.jsonl are done. `beside` names diagnoses of the same cases that
+    stand already, or such files, to be shown beside this one.
     """
     if mix not in BENCHMARKS:
         raise unknown("mix", mix, list(BENCHMARKS), "prove")
@@ -150,10 +152,13 @@ def prove(
     if seal.exists() and (there := json.loads(seal.read_text())) != drawn:
         raise InputError(f"{folder} holds cases of {_spoken(there)}, not of {_spoken(drawn)}; name another folder")
     write_text(seal, json.dumps(drawn))
+    scores = results / f"{mix}_{seed}_{by.name}.jsonl"
+    done = {i: line for i, line in lines_of(scores).items() if i < n}
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     try:
-        jobs = [pool.submit(work, folder, seed, mix, i, dict(stages), by) for i in range(n)]
-        with tqdm(total=n, desc="cases", disable=None) as bar:
+        left = [i for i in range(n) if i not in done]
+        jobs = [pool.submit(work, folder, seed, mix, i, dict(stages), by) for i in left]
+        with tqdm(total=len(left), desc="cases", disable=None) as bar:
             for job in as_completed(jobs):
                 if problem := job.result():
                     bar.write(problem)
@@ -162,13 +167,17 @@ def prove(
         pool.shutdown(wait=True, cancel_futures=True)
     asked = {i: BENCHMARKS[mix].asked(folder / "cases" / f"{i:04d}") for i in range(n)}
     built = [i for i, folders in asked.items() if all((one / "case.yaml").exists() for one in folders)]
-    if not built:
+    if not (built or done):
         raise InputError(f"no case could be built in {folder}")
+    done |= BENCHMARKS[mix].kept(folder, built, by.name)
+    if done:
+        write_text(scores, "".join(f"{done[i]}\n" for i in sorted(done)))
+    own, known = str(scores) if done else by.name, sorted({*built, *done})
     command = f"python scripts/prove.py cases={n} seed={seed} mix={mix}"
-    table, page = BENCHMARKS[mix].judged(folder, built, (by.name, *beside), command, machine(workers))
-    judged = any((one / by.name).exists() for i in built for one in asked[i])
+    table, page = BENCHMARKS[mix].judged(folder, known, (own, *beside), command, machine(workers))
+    judged = bool(done) or any((one / by.name).exists() for i in built for one in asked[i])
     where = results if judged else folder
-    written = mix if by.own and not beside else "_".join([mix, by.name, *beside])
+    written = mix if by.own and not beside else "_".join([mix, by.name, *map(called, beside)])
     write_text(where / f"{written}.csv", table.to_csv(index=False, float_format="%.6g"))
     write_text(where / f"{written}.md", page)
     return page

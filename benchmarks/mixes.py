@@ -31,6 +31,11 @@ class Benchmark(Protocol):
         """A row per case, and the page."""
         ...
 
+    def kept(self, folder: Path, built: Sequence[int], diagnosis: str) -> Mapping[int, str]:
+        """The scores of each case that a diagnosis has answered as a line of JSON, if this benchmark can do with
+        them."""
+        ...
+
 
 BENCHMARKS: Mapping[str, Benchmark] = {
     "concealed": Concealed("concealed"),

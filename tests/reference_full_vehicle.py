@@ -167,7 +167,7 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     along, across, F_x, _ = tyres_at(a, lean, delta)
     F_z, (x, y) = loads(c, g, state, a, lean), places(c).T
     out = np.zeros(19)
-    out[:3] = a[0] + v_y * r, a[1] - v_x * r, (x @ across - y @ along + moment) / yaw_inertia(c)
+    out[:3] = a[0] + v_y * r, a[1] - v_x * r, (x @ across - (y - c["lateral_cog_y"]) @ along + moment) / yaw_inertia(c)
     out[3:7] = state[ROLL_RATE], lean[0], state[PITCH_RATE], lean[1]
     if drive == "torque":
         inertia, torque = np.repeat([c["I_wf"], c["I_wr"]], 2) / 2.0, np.repeat(u[1:3], 2) / 2.0

@@ -293,6 +293,7 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     sideways_f, (l_f, l_r) = F.x_f * math.sin(delta) + F.y_f * math.cos(delta), axles(c)
     loads, a_y = axle_loads(c, now, a_x, v_x), (sideways_f + F.y_r + y) / mass(c)
     out = np.zeros(9)
+    turn += c["lateral_cog_y"] * (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r)
     out[:3] = a_x + v_y * r, a_y - v_x * r, (l_f * sideways_f - l_r * F.y_r + turn) / yaw_inertia(c)
     if drive == "torque":
         R_f, R_r = effective_radius(c, loads[0], "front"), effective_radius(c, loads[1], "rear")

@@ -1,6 +1,6 @@
 """One thing missing, concealed in simulation or in real recordings: what a campaign asks of this benchmark."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,6 +34,9 @@ class Concealed:
     ) -> tuple[pd.DataFrame, str]:
         table = gather(folder, built, diagnoses[0])
         return table, summary.report(table, command, where, len(CATALOGUE))
+
+    def kept(self, folder: Path, built: Sequence[int], diagnosis: str) -> Mapping[int, str]:
+        return {}
 
 
 def gather(folder: Path, built: Sequence[int], diagnosis: str = "diagnosis") -> pd.DataFrame:

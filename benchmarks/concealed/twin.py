@@ -25,7 +25,7 @@ RATE = 1000.0  # Hz, of the integrator at least
 FIELDS = (
     "m I_z l_f l_r h track C_kappa_f C_kappa_r C_alpha_f C_alpha_r mu R_f R_r softness I_wf I_wr sigma_f sigma_r C E "
     "K_phi D_phi J_phi lever front drag_area lift_area lift_front c_rr compliance rear_compliance roll_steer "
-    "load_sensitivity load_transfer curve vectoring pull"
+    "load_sensitivity load_transfer curve vectoring pull cog_y"
 ).split()
 CAR = np.dtype([(name, np.float64) for name in FIELDS])
 DELTA, T_F, T_R, F_X, F_Y, M_Z, GRIP, WARMTH, DRAG, G_X = range(10)
@@ -95,7 +95,7 @@ def derivatives(p, u, x, last, rate) -> None:
         X_force, Y_force = f_x * c - f_y * s, f_x * s + f_y * c
         sum_x += X_force
         sum_y += Y_force
-        turn += X * Y_force - Y * X_force
+        turn += X * Y_force - (Y - p.cog_y) * X_force
         F_yf += f_y if ahead else 0.0
         F_yr += 0.0 if ahead else f_y
         torque = 0.5 * (u[T_F] if ahead else u[T_R]) - (u[DRAG] if i == 2 else 0.0)
@@ -197,6 +197,7 @@ class Twin:
             "compliance": of("steering_compliance", "coefficient"), "roll_steer": of("roll_steer", "coefficient"),
             "load_sensitivity": of("load_sensitivity", "coefficient"), "curve": of("tyre_curve", "peak"),
             "load_transfer": of("lateral_load_transfer", "coefficient"),
+            "cog_y": of("lateral_cog", "y"),
             "rear_compliance": of("rear_compliance_steer", "coefficient"),
             "vectoring": of("torque_vectoring", "moment"), "pull": of("growing_side_pull", "force"),
         }  # fmt: skip

@@ -1,6 +1,6 @@
 """Effects injected into real recordings: what a campaign asks of this benchmark."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,3 +30,6 @@ class Injected:
         answered = [i for i in built if all(difference(folder, i, name) for name in diagnoses)]
         columns = {name: [d for i in answered if (d := difference(folder, i, name))] for name in diagnoses}
         return page.table(columns[diagnoses[0]]), page.report(columns, command, where)
+
+    def kept(self, folder: Path, built: Sequence[int], diagnosis: str) -> Mapping[int, str]:
+        return {}

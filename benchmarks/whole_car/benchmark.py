@@ -1,14 +1,15 @@
 """Whole cars, four to nine things missing at once: what a campaign asks of this benchmark."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 from concealed import baselines as simpler
+from score_files import SUFFIX, called, lines_of
 
 from whole_car import cases, oracle, page
-from whole_car.scores import CHOOSING, Scored, scored
+from whole_car.scores import CHOOSING, Scored, as_line, from_line, scored
 from whole_car.scores import simpler as by_simpler
 
 
@@ -31,13 +32,20 @@ class WholeCars:
         self, folder: Path, built: Sequence[int], diagnoses: Sequence[str], command: str, where: str
     ) -> tuple[pd.DataFrame, str]:
         """Columns are the diagnoses and simpler methods, each over the cases that all diagnoses have answered."""
-        answered = [i for i in built if all(scored(folder, i, name) for name in diagnoses)]
-        columns = {name: _every(scored, folder, answered, name) for name in diagnoses}
-        columns |= {name: found for name in CHOOSING if (found := _every(by_simpler, folder, answered, name))}
-        return page.table(columns[diagnoses[0]]), page.report(columns, command, where)
+        found = {called(name): _every(scored, folder, built, name) for name in diagnoses}
+        answered = [i for i in built if all(i in one for one in found.values())]
+        columns = {name: [one[i] for i in answered] for name, one in found.items()}
+        columns |= {name: [*one.values()] for name in CHOOSING if (one := _every(by_simpler, folder, answered, name))}
+        return page.table(next(iter(columns.values()))), page.report(columns, command, where)
+
+    def kept(self, folder: Path, built: Sequence[int], diagnosis: str) -> Mapping[int, str]:
+        return {i: as_line(one) for i, one in _every(scored, folder, built, diagnosis).items()}
 
 
 def _every(
     judge: Callable[[Path, int, str], Scored | None], folder: Path, cases: Sequence[int], name: str
-) -> list[Scored]:
-    return [one for i in cases if (one := judge(folder, i, name)) is not None]
+) -> dict[int, Scored]:
+    """The cases that are answered, by number; from a file of scores where the name is one's."""
+    if name.endswith(SUFFIX):
+        return {i: from_line(line) for i, line in lines_of(Path(name)).items()}
+    return {i: one for i in cases if (one := judge(folder, i, name)) is not None}

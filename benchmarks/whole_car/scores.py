@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,20 @@ class Scored:
     accepted: bool | None = None
     p_unknown: float | None = None
     seconds: float | None = None
+
+
+def as_line(one: Scored) -> str:
+    """A case as a line of JSON, from which `from_line` has it again."""
+    return json.dumps(asdict(one), default=lambda x: np.round(np.asarray(x, dtype=float), 6).tolist())
+
+
+def from_line(line: str) -> Scored:
+    content = json.loads(line)
+    for name in ("before", "after", "oracle"):
+        if content[name] is not None:
+            content[name] = Parameters(**{key: np.array(x) for key, x in content[name].items()})
+    inclusion = np.array(content.pop("inclusion")).reshape(-1, 2)
+    return Scored(**content | {"inclusion": inclusion, "sizes": np.array(content["sizes"])})
 
 
 def standing(truth: Json) -> set[str]:

@@ -136,6 +136,9 @@ CATALOGUE: Mapping[str, Effect] = {
                 factor=("1", 0.7, 1.5, 1.0)),
         _effect("yaw_moment", "force", "constant moment about the vertical axis", "M_z = moment", "Newton and Euler",
                 moment=("N m", -1500.0, 1500.0, 0.0)),
+        _effect("lateral_cog", "force",
+                "the centre of gravity lies left of the middle: driving and braking turn the car, as a pulling brake",
+                "M_z = y F_x, F_x of all tyres along the car", "rigid-body mechanics", y=("m", -0.1, 0.1, 0.0)),
         # tyres
         _effect("friction_level", "tyre", "friction coefficient over the vehicle's, of both axles or of one",
                 "mu_axle = factor factor_axle mu_vehicle", "Dugoff's mu",
@@ -523,6 +526,12 @@ def yaw_inertia(p, I_z: float) -> float:
 def yaw_moment(p) -> float:
     """Constant moment [N m] about the vertical axis."""
     return p.yaw_moment_moment
+
+
+@compiled
+def lateral_cog(p, F_x: float) -> float:
+    """Moment [N m] about a centre of gravity left of the middle by tyres that pull with F_x [N] along the car."""
+    return p.lateral_cog_y * F_x
 
 
 @compiled

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from vehicle_sbi.physics.balance import Front, Outside, outside, pointing, settled
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import lag_rate, lag_share, pulls, road_bank, side_force, tyre_force
+from vehicle_sbi.physics.effects import lag_rate, lag_share, lateral_cog, pulls, road_bank, side_force, tyre_force
 from vehicle_sbi.physics.single_track import (
     DELTA,
     SPEED,
@@ -250,9 +250,10 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     fr = contact(p, car, car.front, front, car.front_right, F_z[1], car.pull_f)
     rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], car.pull_r)
     rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3], car.pull_r)
-    F_x = out.push_x + (fl.F_x + fr.F_x) + (rl.F_x + rr.F_x)
+    F_along = (fl.F_x + fr.F_x) + (rl.F_x + rr.F_x)
+    F_x = out.push_x + F_along
     F_y = out.push_y + (fl.F_y + fr.F_y) + (rl.F_y + rr.F_y)
-    M_z = out.moment_z + (fl.M_z + fr.M_z) + (rl.M_z + rr.M_z)
+    M_z = out.moment_z + lateral_cog(p, F_along) + (fl.M_z + fr.M_z) + (rl.M_z + rr.M_z)
     solved_x, solved_y = accelerated(p, car, F_x, F_y)
     solved_x = a_x if car.drive == SPEED else solved_x
     return Forces(solved_x, solved_y, False, fl.F_side + fr.F_side, M_z, roll_rate_dot, pitch_rate_dot, fl, fr, rl, rr)

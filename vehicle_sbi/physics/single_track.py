@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, pulls, side_force, tyre_force
+from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, lateral_cog, pulls, side_force, tyre_force
 from vehicle_sbi.physics.tyre import effective_radius, grips
 
 TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2
@@ -111,6 +111,7 @@ class Forces(NamedTuple):
     final: bool  # whether the loads of these accelerations leave all forces exactly as they are
     F_xf: float  # in the wheels' own directions [N]
     F_yf: float
+    F_along: float  # of both axles along the car [N]
     F_lateral_f: float  # across the car [N]
     F_xr: float
     F_yr: float
@@ -172,13 +173,13 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
             kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
         F_xf, F_yf = tyre_force(p, p.stiff_f * p.C_kappa_f, C_f, mu_f, F_zf, load_f, kappa_f, tan_f, out.steady)
         F_xr, F_yr = tyre_force(p, p.stiff_r * p.C_kappa_r, C_r, mu_r, F_zr, load_r, kappa_r, car.tan_r, out.steady)
-    F_along = F_xf * front.cosine - F_yf * front.sine + F_xr + out.push_x
+    F_along = F_xf * front.cosine - F_yf * front.sine + F_xr
     F_lateral_f = F_xf * front.sine + F_yf * front.cosine
-    solved = a_x if car.drive == SPEED else F_along / p.mass
+    solved = a_x if car.drive == SPEED else (F_along + out.push_x) / p.mass
     moved = abs(p.load_transfer * (solved - a_x))
     final = relaxed and ignores_load(p)
     final = final and grips(mu_f, F_zf - moved, F_xf, F_yf) and grips(mu_r, F_zr - moved, F_xr, F_yr)
-    return Forces(solved, a_y, final, F_xf, F_yf, F_lateral_f, F_xr, F_yr)
+    return Forces(solved, a_y, final, F_xf, F_yf, F_along, F_lateral_f, F_xr, F_yr)
 
 
 @compiled
@@ -215,7 +216,8 @@ def derivatives(p, drive: int, u, state, rate) -> None:
 
     rate[V_X] = a_x + v_y * r
     rate[V_Y] = (found.F_lateral_f + found.F_yr + out.push_y) / p.mass - v_x * r
-    rate[R] = (p.l_front * found.F_lateral_f - p.l_rear * found.F_yr + out.moment_z) / p.I_z
+    moment = out.moment_z + lateral_cog(p, found.F_along)
+    rate[R] = (p.l_front * found.F_lateral_f - p.l_rear * found.F_yr + moment) / p.I_z
     T_f, T_r = wheel_torque(u[T_F], state[OMEGA_F]), wheel_torque(u[T_R], state[OMEGA_R])
     rate[OMEGA_F] = (T_f - found.F_xf * rolls.R_f) / p.I_wf if drive == TORQUE else 0.0
     rate[OMEGA_R] = (T_r - found.F_xr * rolls.R_r) / p.I_wr if drive == TORQUE else 0.0
