@@ -215,6 +215,16 @@ def test_wind_and_moment_push_and_turn() -> None:
     assert rate[2] == pytest.approx((800.0 * 0.4 + 300.0 * 0.5 + 250.0) / (M * L_F * L_R), rel=8 * EPS)
 
 
+@pytest.mark.parametrize(("y", "a_x"), [(0.05, 3.0), (-0.05, -3.0)])
+def test_a_centre_of_gravity_off_the_middle_turns_the_car_as_it_speeds_up(y: float, a_x: float) -> None:
+    # Straight on, in the first instant, at a given dv/dt: all tyres pull with m a, y to the right of the centre.
+    u = inputs()
+    u[INPUTS.index("v_x_dot")] = a_x
+    rate = rate_of(record_of(RIGID, lateral_cog_y=y), "speed", rolling(), u)
+    assert rate[1] == 0.0
+    assert rate[2] == pytest.approx(y * M * a_x / (M * L_F * L_R), rel=8 * EPS)
+
+
 def test_gust_begins_and_ends_when_it_says() -> None:
     # Nothing before, all of it after an edge, nothing an edge after its end: its impulse is force times duration, by
     # the midpoint rule over smooth edges to (1e-4 s)^2 of their curvature.
