@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from mixes import BENCHMARKS
-from score_files import called, lines_of
+from score_files import SUFFIX, called, lines_of
 from tqdm import tqdm
 
 from vehicle_sbi.errors import InputError, unknown
@@ -152,11 +152,11 @@ def prove(
     if seal.exists() and (there := json.loads(seal.read_text())) != drawn:
         raise InputError(f"{folder} holds cases of {_spoken(there)}, not of {_spoken(drawn)}; name another folder")
     write_text(seal, json.dumps(drawn))
-    scores = results / f"{mix}_{seed}_{by.name}.jsonl"
-    done = {i: line for i, line in lines_of(scores).items() if i < n}
+    scores = {one: results / f"{mix}_{seed}_{one}{SUFFIX}" for one in (by.name, *BENCHMARKS[mix].simpler)}
+    done = {one: {i: line for i, line in lines_of(path).items() if i < n} for one, path in scores.items()}
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     try:
-        left = [i for i in range(n) if i not in done]
+        left = [i for i in range(n) if i not in done[by.name]]
         jobs = [pool.submit(work, folder, seed, mix, i, dict(stages), by) for i in left]
         with tqdm(total=len(left), desc="cases", disable=None) as bar:
             for job in as_completed(jobs):
@@ -167,15 +167,15 @@ def prove(
         pool.shutdown(wait=True, cancel_futures=True)
     asked = {i: BENCHMARKS[mix].asked(folder / "cases" / f"{i:04d}") for i in range(n)}
     built = [i for i, folders in asked.items() if all((one / "case.yaml").exists() for one in folders)]
-    if not (built or done):
+    if not (built or done[by.name]):
         raise InputError(f"no case could be built in {folder}")
-    done |= BENCHMARKS[mix].kept(folder, built, by.name)
-    if done:
-        write_text(scores, "".join(f"{done[i]}\n" for i in sorted(done)))
-    own, known = str(scores) if done else by.name, sorted({*built, *done})
-    command = f"python scripts/prove.py cases={n} seed={seed} mix={mix}"
-    table, page = BENCHMARKS[mix].judged(folder, known, (own, *beside), command, machine(workers))
-    judged = bool(done) or any((one / by.name).exists() for i in built for one in asked[i])
+    for one, lines in done.items():
+        if lines := lines | dict(BENCHMARKS[mix].kept(folder, built, one)):
+            write_text(scores[one], "".join(f"{lines[i]}\n" for i in sorted(lines)))
+    own, *simpler = (str(path) if path.exists() else one for one, path in scores.items())
+    known, command = sorted({*built, *done[by.name]}), f"python scripts/prove.py cases={n} seed={seed} mix={mix}"
+    table, page = BENCHMARKS[mix].judged(folder, known, (own, *beside, *simpler), command, machine(workers))
+    judged = scores[by.name].exists() or any((one / by.name).exists() for i in built for one in asked[i])
     where = results if judged else folder
     written = mix if by.own and not beside else "_".join([mix, by.name, *map(called, beside)])
     write_text(where / f"{written}.csv", table.to_csv(index=False, float_format="%.6g"))

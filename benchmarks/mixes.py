@@ -11,7 +11,10 @@ from whole_car.benchmark import WholeCars
 
 
 class Benchmark(Protocol):
-    """What a campaign asks of a benchmark."""
+    """What a campaign asks of a benchmark; `simpler` are methods whose scores are kept beside those of a diagnosis."""
+
+    @property
+    def simpler(self) -> Sequence[str]: ...
 
     def build(self, seed: int, index: int, folder: Path) -> None:
         """Case `index` under folder/cases and its truth under folder/sealed, unless they stand there."""

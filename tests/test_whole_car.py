@@ -10,10 +10,12 @@ import pytest
 import yaml
 from concealed.outside import OUTSIDE
 from measures import shown
+from score_files import called, lines_of
 from whole_car import cases, oracle, page
+from whole_car.benchmark import WholeCars
 from whole_car.cars import INHERENT, LATERAL, OFF, RATE, whole_car
 from whole_car.missing import FEWEST, MOST, REAL
-from whole_car.scores import Scored, parameters, scored
+from whole_car.scores import Scored, as_line, from_line, parameters, scored
 
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 
@@ -124,6 +126,20 @@ def test_names_are_held_against_what_is_there_and_what_is_like_it(built: Path) -
     text = page.report({"mine": [one]}, "python scripts/prove.py mix=whole_car", "here")
     assert "| names above 0.5 that are not there, a case | 1.00 (1.00 to 1.00; 1) | 0.3 | 0.1 |" in text
     assert len(page.table([one])) == 1
+    again = from_line(as_line(one))  # a score that is kept is the same one
+    assert page.report({"mine": [again]}, "python scripts/prove.py mix=whole_car", "here") == text
+
+
+def test_scores_that_are_kept_stand_for_cases_that_are_not_there(built: Path, tmp_path: Path) -> None:
+    kept = WholeCars().kept(built, [1, 2], "mine")
+    assert [*kept] == [1]
+    file = tmp_path / "whole_car_0_mine.jsonl"
+    file.write_text(f"{kept[1]}\n")
+    assert lines_of(file) == kept
+    assert called(str(file)) == "mine"
+    table, text = WholeCars().judged(tmp_path, [1, 2], (str(file),), "a command", "here")
+    assert table["case"].tolist() == [1]
+    assert "| measure | mine | good | the aim |" in text
 
 
 def test_a_calibrated_probability_has_no_error_and_a_sure_one_that_is_wrong_all() -> None:

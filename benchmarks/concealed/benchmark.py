@@ -16,6 +16,7 @@ class Concealed:
     """A mix of cases of one thing missing, or two, or nothing."""
 
     mix: str
+    simpler: Sequence[str] = ()
 
     def build(self, seed: int, index: int, folder: Path) -> None:
         cases.build(seed, index, self.mix, folder, injected.build, list(injected.INJECTED))

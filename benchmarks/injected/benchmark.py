@@ -15,6 +15,8 @@ from injected.scores import difference
 class Injected:
     """Stretches of real recordings, with and without an effect, judged by the difference."""
 
+    simpler: Sequence[str] = ()
+
     def build(self, seed: int, index: int, folder: Path) -> None:
         cases.build(seed, index, folder)
 

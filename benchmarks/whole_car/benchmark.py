@@ -1,21 +1,22 @@
 """Whole cars, four to nine things missing at once: what a campaign asks of this benchmark."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from concealed import baselines as simpler
+from concealed.baselines import write as write_baselines
 from score_files import SUFFIX, called, lines_of
 
 from whole_car import cases, oracle, page
-from whole_car.scores import CHOOSING, Scored, as_line, from_line, scored
-from whole_car.scores import simpler as by_simpler
+from whole_car.scores import SIMPLER, Scored, as_line, from_line, scored
 
 
 @dataclass(frozen=True)
 class WholeCars:
     """Cars of which much is missing, judged by their parameters and by the names."""
+
+    simpler: Sequence[str] = tuple(SIMPLER)
 
     def build(self, seed: int, index: int, folder: Path) -> None:
         cases.build(seed, index, folder)
@@ -23,7 +24,7 @@ class WholeCars:
     def prepare(self, case: Path, sealed: Path, *, baselines: bool) -> None:
         oracle.write(case, sealed)
         if baselines:
-            simpler.write(case)
+            write_baselines(case, tested=False)  # that something is missing is known
 
     def asked(self, case: Path) -> Sequence[Path]:
         return (case,)
@@ -32,20 +33,17 @@ class WholeCars:
         self, folder: Path, built: Sequence[int], diagnoses: Sequence[str], command: str, where: str
     ) -> tuple[pd.DataFrame, str]:
         """Columns are the diagnoses and simpler methods, each over the cases that all diagnoses have answered."""
-        found = {called(name): _every(scored, folder, built, name) for name in diagnoses}
-        answered = [i for i in built if all(i in one for one in found.values())]
-        columns = {name: [one[i] for i in answered] for name, one in found.items()}
-        columns |= {name: [*one.values()] for name in CHOOSING if (one := _every(by_simpler, folder, answered, name))}
+        found = {called(name): _every(folder, built, name) for name in diagnoses}
+        answered = [i for i in built if all(i in one for name, one in found.items() if name not in SIMPLER)]
+        columns = {SIMPLER.get(name, name): [one[i] for i in answered if i in one] for name, one in found.items()}
         return page.table(next(iter(columns.values()))), page.report(columns, command, where)
 
     def kept(self, folder: Path, built: Sequence[int], diagnosis: str) -> Mapping[int, str]:
-        return {i: as_line(one) for i, one in _every(scored, folder, built, diagnosis).items()}
+        return {i: as_line(one) for i, one in _every(folder, built, diagnosis).items()}
 
 
-def _every(
-    judge: Callable[[Path, int, str], Scored | None], folder: Path, cases: Sequence[int], name: str
-) -> dict[int, Scored]:
+def _every(folder: Path, cases: Sequence[int], name: str) -> dict[int, Scored]:
     """The cases that are answered, by number; from a file of scores where the name is one's."""
     if name.endswith(SUFFIX):
         return {i: from_line(line) for i, line in lines_of(Path(name)).items()}
-    return {i: one for i in cases if (one := judge(folder, i, name)) is not None}
+    return {i: one for i in cases if (one := scored(folder, i, name)) is not None}

@@ -14,7 +14,7 @@ NAMED = 0.5  # probability, from which an effect is named
 STRONG = 8.0  # signal-to-noise ratio beyond all other effects, from which one should be named
 REDUCIBLE = 0.1  # of the oracle's error, by which a channel's has to exceed it for there to be anything to gain
 Z90 = float(norm.ppf(0.95))
-CHOOSING = {"forward selection by BIC": "bic", "lasso, BIC": "lasso"}
+SIMPLER = {"bic": "forward selection by BIC", "lasso": "lasso, BIC"}
 Json = Mapping[str, Any]
 
 
@@ -116,7 +116,9 @@ def _inclusion(truth: Json, said: Mapping[str, float]) -> np.ndarray:
 
 
 def scored(folder: Path, index: int, diagnosis: str) -> Scored | None:
-    """A case by the diagnosis of a name; None where there is no verdict."""
+    """A case by the diagnosis, or the simpler method, of a name; None where there is no answer."""
+    if diagnosis in SIMPLER:
+        return _by_simpler(folder, index, diagnosis)
     case, sealed = folder / "cases" / f"{index:04d}", folder / "sealed" / f"{index:04d}"
     path = case / diagnosis / "verdict.json"
     if not path.exists():
@@ -144,13 +146,13 @@ def scored(folder: Path, index: int, diagnosis: str) -> Scored | None:
     )
 
 
-def simpler(folder: Path, index: int, method: str) -> Scored | None:
+def _by_simpler(folder: Path, index: int, method: str) -> Scored | None:
     """A case by forward selection or the lasso: what they name, they are sure of."""
     case = folder / "cases" / f"{index:04d}"
     if not (case / "baselines.json").exists():
         return None
     truth = json.loads((folder / "sealed" / f"{index:04d}.json").read_text())
-    names = json.loads((case / "baselines.json").read_text())[CHOOSING[method]]
+    names = json.loads((case / "baselines.json").read_text())[method]
     return Scored(**_naming(truth, case, dict.fromkeys(names, 1.0)))
 
 
