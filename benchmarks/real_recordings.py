@@ -70,9 +70,22 @@ def grade(name: str) -> tuple[float, float, float]:
 
 
 def size(verdict: Verdict, parameter: str) -> str:
-    """Of the likeliest set that has it."""
-    one = next((e["parameters"][parameter] for e in verdict["explanations"] if parameter in e["parameters"]), None)
-    return "not in any set" if one is None else f"{one['mean']:.3g} ± {one['std']:.2g} {one['unit']}".removesuffix(" 1")
+    """Of the likeliest set that has it, with its 90 % interval; else of one whose size may be nothing."""
+    for sets, but in ((verdict["explanations"], ""), (verdict["unsupported"], ", not named: it may be nothing")):
+        if one := next((e["parameters"][parameter] for e in sets if parameter in e["parameters"]), None):
+            return f"{_estimate(one, one['unit'])}{but}"
+    return "not in any set"
+
+
+def base(verdict: Verdict, parameter: str, when: str = "after") -> str:
+    """A base parameter before or after the diagnosis."""
+    one = verdict["base_parameters"][parameter]
+    return _estimate(one[when], one["unit"])
+
+
+def _estimate(one: dict[str, float], unit: str) -> str:
+    said = f"{one['mean']:.3g} ± {one['std']:.2g} {unit}".removesuffix(" 1")
+    return f"{said} ({one['q05']:.3g} to {one['q95']:.3g})"
 
 
 def probability(verdict: Verdict, *effects: str) -> str:
@@ -84,7 +97,7 @@ def rows() -> list[tuple[str, str, str]]:
     """What is asked of each recording, and what is said."""
     said = {name: diagnosed(name) for name in CASES}
     correlation, error, without_mean = grade("phone")
-    none_of = ("road_grade", "road_grade_profile", "road_bank", "imu_lever_arm")
+    none_of = ("road_grade", "road_grade_profile", "road_bank", "imu_lever_arm", "imu_misalignment", "downforce")
     return [
         ("Toyota RAV4, phone", "the grade, not given", probability(said["phone"], "road_grade_profile")),
         ("", "its profile: correlation over 0.9", f"{correlation:.3f}"),
@@ -93,6 +106,10 @@ def rows() -> list[tuple[str, str, str]]:
         ("Volvo S90", "body roll, or what is like it", probability(said["volvo"], "body_roll", "accelerometer_scale")),
         ("", "0.0080 rad/(m/s²) within 25 %", size(said["volvo"], "body_roll.gradient")),
         ("", "a delay of 35 to 50 ms", size(said["volvo"], "sensor_delay.can")),
+        ("", "relaxation: 0.3 to 0.6 m", size(said["volvo"], "relaxation.front")),
+        ("", "steering gain 1", base(said["volvo"], "steering_ratio.gain")),
+        ("", "C_alpha_f of 120 to 200 kN/rad", base(said["volvo"], "C_alpha_f")),
+        ("", "no gust", probability(said["volvo"], "gust")),
         ("Volvo S90, a_y of the VBOX", "a delay", probability(said["volvo_mixed"], "sensor_delay", "steering_delay")),
         ("", "the yaw rate 45 ms later", size(said["volvo_mixed"], "sensor_delay.can")),
         ("", "a_y not", size(said["volvo_mixed"], "sensor_delay.imu")),
@@ -100,9 +117,12 @@ def rows() -> list[tuple[str, str, str]]:
         ("", "a friction of 1.1 to 1.2, over 3", size(said["ferrari_unsaturated"], "friction_level.factor")),
         ("", "no grade, bank or lever arm", probability(said["ferrari_unsaturated"], *none_of)),
         ("Ferrari 250 LM, mu = 1.2", "something else", f"unknown {said['ferrari']['p_unknown']:.2f}"),
+        ("", "driven from the right seat", probability(said["ferrari"], "lateral_cog")),
+        ("", "a few centimetres to the right", size(said["ferrari"], "lateral_cog.y")),
         ("", "no grade, bank or lever arm", probability(said["ferrari"], *none_of)),
         ("DART 1:10", "a steering lag", probability(said["dart"], "steering_lag", "steering_delay", "sensor_delay")),
         ("", "0.1285 s", size(said["dart"], "steering_lag.time")),
+        ("", "friction as stated", probability(said["dart"], "friction_level")),
     ]
 
 

@@ -159,8 +159,11 @@ class Unsupported:
 
     @property
     def sentence(self) -> str:
-        sizes = "; ".join(quantity(name, e) for name, e in self.parameters.items())
-        return f"{listed(self.effects)} would do best, but may as well be nothing ({sizes})."
+        return f"{listed(self.effects)} would do best, but may as well be nothing ({self.sizes})."
+
+    @property
+    def sizes(self) -> str:
+        return "; ".join(quantity(name, e) for name, e in self.parameters.items())
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,7 @@ def write_report(
         title=f"Diagnosis of {case.name}",
         sections={
             "Answer": _paragraphs([line for line in (answer.sentence, answer.separating_experiment) if line]),
-            "Explanations": in_section(html(_explanations(answer)) + _of_held_out(answer)),
+            "Explanations": in_section(html(_explanations(answer)) + _of_held_out(answer) + _set_aside(answer)),
             "Where": in_section(html(_places(answer))) if answer.mismatch else "<p>Nowhere beyond noise.</p>",
             "Held out": in_section(html(_scores(answer))) + _accepted(answer),
             "What these recordings could have shown": in_section(html(could_show(seen)), LEGEND)
@@ -209,6 +209,12 @@ def _of_held_out(answer: Verdict) -> str:
     """What the column of that name says, where it says anything."""
     told = any(one.foretold is not None for one in answer.explanations)
     return "<p>Held out: log likelihood gained over the base model on the half that helps to name.</p>" if told else ""
+
+
+def _set_aside(answer: Verdict) -> str:
+    """Sets that are not among the explanations, and what their sizes would be."""
+    sets = "; ".join(f"{listed(one.effects)} ({one.sizes})" for one in answer.unsupported)
+    return _paragraphs([f"Set aside, as a size may as well be nothing: {sets}."] if sets else [])
 
 
 def _places(answer: Verdict) -> pd.DataFrame:
