@@ -37,6 +37,9 @@ REPORTED = (
     "roll_rate",
     "pitch_rate",
 )  # of sensors: groups that share a clock and a filter, and channels
+# Where tyres have C = c F_z (1 - k F_z / F_z0), an axle loses k / (1 - k) (2 h_cog a_y / (g track))^2 of its stiffness.
+# h_cog / track is at most 0.4, and k 0.43: at 0.5 stiffness no longer grows with the load.
+MOST_LOAD_TRANSFER = 0.005  # [1/(m/s^2)^2]
 PEAK_SHAPE = 1.5  # C of the magic formula that the tyre curve blends into
 DEAD_TIME = "pure dead time"
 RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and Vehicle Dynamics"
@@ -155,7 +158,7 @@ CATALOGUE: Mapping[str, Effect] = {
                 coefficient=("1", 0.0, 1.0, 0.0)),
         _effect("lateral_load_transfer", "tyre", "an axle loses cornering stiffness as load moves to its outer wheel",
                 "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2)", f"{PACEJKA}, ch. 1",
-                coefficient=("1/(m/s^2)^2", 0.0, 0.01, 0.0)),
+                coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0)),
         _effect("tyre_curve", "tyre", "tyre forces peak and fall, instead of saturating",
                 "F = F_Dugoff + peak (sin(3/2 atan(2/3 z)) mu F_z - F_Dugoff) laterally, longitudinal in place of peak "
                 "longitudinally, z = demand over grip",
