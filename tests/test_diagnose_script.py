@@ -134,14 +134,15 @@ def test_a_part_of_an_effect_is_inferred_alone(run: Path) -> None:
 
 def test_what_the_recordings_could_have_shown_is_in_the_verdict_and_on_the_page(run: Path) -> None:
     verdict, page = json.loads((run / "verdict.json").read_text()), (run / "report.html").read_text()
-    shown, hidden = verdict["could_show"], verdict["invisible"]
-    assert sorted([*shown, *hidden]) == sorted(CATALOGUE)
+    shown, hidden, idle = verdict["could_show"], verdict["invisible"], verdict["cannot_act"]
+    assert sorted([*shown, *hidden, *idle]) == sorted(CATALOGUE)
     for effect, least in shown.items():
         assert set(least) == {"parameter", "size", "unit"}
         assert least["parameter"].startswith(f"{effect}.")
         assert least["parameter"] in page
-    assert "drive_gain" in hidden
-    assert "Without any effect here: drive_gain" in page
+    reason = "drive mode speed takes a measured speed in place of torques"
+    assert idle["drive_gain"] == reason
+    assert f"Cannot act here: drive_gain, brake_gain, drive_delay ({reason})." in page
     assert "absorbed by" in page
     assert "Not told apart: " in page
 

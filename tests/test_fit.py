@@ -103,9 +103,9 @@ def test_a_parameter_on_the_rim_of_its_box_does_not_count_as_inside() -> None:
     assert fit.inside.tolist()[0] is False
 
 
-@pytest.mark.parametrize("delay", [0.012, 0.05, 0.11, 0.145, 0.195])
+@pytest.mark.parametrize("delay", [0.012, 0.05, 0.11, 0.145, 0.195, 0.33])
 def test_a_dead_time_is_found_from_afar(delay: float) -> None:
-    # A jerky drive, whose a_x a shift by two samples makes unlike itself; from the middle of the box, at 0.1 s, steps
+    # A jerky drive, whose a_x a shift by two samples makes unlike itself; from the middle of the box, at 0.25 s, steps
     # lead to the nearest sample only. Where it is found, it is to four standard deviations.
     sim = lateral()
     u = sim.windows.u.copy()

@@ -26,15 +26,16 @@ def read_in_steps(step: float, *, seed: int = 0, rho: float = 0.0) -> Observatio
 
 @pytest.mark.parametrize(("times", "rho"), [(1.5, 0.0), (3.0, 0.0), (3.0, 0.6)])
 def test_steps_as_large_as_the_noise_are_found_with_their_size(times: float, rho: float) -> None:
-    # The step to within a tenth of it at the ends of the range (the grid is twice as fine), the error's size, which is
-    # 1, to within four standard deviations, which are that over its score, and what the grid's phase loses of it.
+    # The step to within three points of the grid, one by which it misses the step and one each by which noise moves the
+    # likeliest up or down; the error's size, which is 1, to within four standard deviations, which are that over its
+    # score, and what the grid's phase loses of it.
     sim = lateral(rho=rho)
     step = times * float(sim.noise.floor[YAW])
     about = Linearised.of(fitted(read_in_steps(step, rho=rho)))
     one = next(one for one in Staircase.of_each(about) if one.channel == YAW)
     found, size, score = one.likeliest()
     assert score > 5.0
-    assert abs(1.0 / found - 1.0 / step) * np.abs(one.said).max() < 2.0 * PHASE
+    assert abs(1.0 / found - 1.0 / step) * np.abs(one.said).max() < 3.0 * PHASE
     assert size == pytest.approx(1.0, abs=4.0 * size / score + 4.0 * PHASE)
 
 

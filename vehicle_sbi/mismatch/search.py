@@ -87,10 +87,13 @@ def _likelier(fit: Fit, theta: Float[np.ndarray, " d"], steps: int) -> Fit:
 
 
 def delayed(fit: Fit, k: int) -> Float[np.ndarray, " d"]:
-    """theta with dead time k where in its box the model fits best, the other parameters following at first order."""
+    """theta with dead time k where in its box the model fits best, the other parameters following at first order.
+
+    What is tried lies between whole samples, at which there are kinks.
+    """
     space = fit.simulator.space
     step = max(0.5 / fit.simulator.windows.rate, (space.high[k] - space.low[k]) / MOST_DEAD_TIMES)
-    return _best_of(fit, [k], np.arange(space.low[k], space.high[k], step)[:, None])[0]
+    return _best_of(fit, [k], np.arange(space.low[k] + 0.5 * step, space.high[k], step)[:, None])[0]
 
 
 def begun(fit: Fit, start: int, duration: int, reach: float) -> Float[np.ndarray, " d"]:
