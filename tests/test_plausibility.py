@@ -31,7 +31,7 @@ def drive(*, lively: float = 1.0, noise: float = 1.0) -> dict[str, np.ndarray]:
 
 
 def recording(channels: Mapping[str, np.ndarray]) -> Recording:
-    t = np.arange(len(channels["v_x"])) / RATE
+    t = np.arange(len(channels["a_y"])) / RATE
     valid = {name: np.isfinite(x) for name, x in channels.items()}
     return Recording(
         name="a", rate=RATE, t=t, channels=channels, valid=valid, groups={}, source="a.csv", sha256=""
@@ -68,6 +68,22 @@ def test_each_fault_is_said_in_one_sentence(changed: str, factor: float, offset:
     assert all(len(line.split()) <= 25 for line in found)
 
 
+def test_swapped_axes_of_an_accelerometer_are_said() -> None:
+    healthy = drive()
+    found = findings(recording(healthy | {"a_x": healthy["a_y"], "a_y": healthy["a_x"]}))
+    assert any("a_x follows v_x times yaw rate" in line and "axes seem swapped" in line for line in found), found
+
+
+@pytest.mark.parametrize(("flipped", "lines"), [("a_y", 1), ("a_x", 1), ("yaw_rate", 2), (None, 0)])
+def test_wheel_speeds_tell_signs_where_no_speed_is_recorded(flipped: str | None, lines: int) -> None:
+    series = drive()
+    v_x = series.pop("v_x")
+    wheels = {f"wheel_speed_{at}": v_x / 0.31 for at in ("fl", "fr", "rl", "rr")}
+    faulty = series | ({flipped: -series[flipped]} if flipped else {}) | wheels
+    found = findings(recording(faulty))
+    assert sum("the opposite sign" in line for line in found) == lines == len(found), found
+
+
 def test_a_flipped_yaw_rate_shows_against_both_that_follow_it() -> None:
     healthy = drive()
     found = findings(recording(healthy | {"yaw_rate": -healthy["yaw_rate"]}))
@@ -85,6 +101,15 @@ def test_a_run_of_absurd_samples_is_found_and_nothing_else(length: int) -> None:
     beyond, runs = absurd("steering_wheel", np.where(wrong, 12.0, clean), RATE)  # possible, but not so suddenly
     assert not beyond.any()
     assert np.array_equal(runs, wrong)
+
+
+@pytest.mark.parametrize(("length", "low", "high"), [(35, 40.0, 40.0), (10, -90.0, 90.0)])
+def test_absurd_samples_are_one_run_though_they_last_or_jump_about(length: int, low: float, high: float) -> None:
+    clean = drive()["a_y"]
+    wrong = np.zeros(len(clean), dtype=bool)
+    wrong[600 : 600 + length] = True
+    jumping = np.where(np.arange(len(clean)) % 2, high, low)
+    assert np.array_equal(absurd("a_y", np.where(wrong, jumping, clean), RATE)[1], wrong)
 
 
 def test_steps_and_slow_pulses_are_no_runs() -> None:

@@ -27,6 +27,14 @@ def test_what_is_not_known_of_a_car_is_told_from_the_rest() -> None:
     assert size_of(18e3, None).length == pytest.approx(2.7 * 12.0 ** (1 / 3) / 3.5)
 
 
+@pytest.mark.parametrize(
+    ("m", "L"), [(18e3, 6.0), (12e3, 6.1), (8e3, 4.5), (3.5, 0.33), (1.58, 0.175)]
+)  # lorry, bus, van, F1TENTH, JetRacer
+def test_the_box_of_an_unknown_mass_holds_that_of_real_cars_of_a_wheelbase(m: float, L: float) -> None:
+    box = size_of(None, L).fitted(GENERIC_PRIORS["m"])
+    assert 1.2 * box.low < m < box.high / 1.2  # and not at its rim
+
+
 @pytest.mark.parametrize("p", [p for p in ALL if p.unit in POWERS], ids=lambda p: p.name)
 def test_two_cars_that_are_alike_have_boxes_that_are_alike(p: Parameter) -> None:
     """Powers of mass and length are those of the unit, time as sqrt(length/g): what has no unit left is the same."""

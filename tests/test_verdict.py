@@ -155,6 +155,9 @@ def test_a_set_whose_size_may_be_nothing_is_set_aside_and_spoken_of() -> None:
     assert extended_model is not None
     doubtful = replace(found, models=[extended_model], doubtful=[]).supported()
     assert (doubtful.models, doubtful.doubtful) == ([], [extended_model])
+    over = replace(doubtful, best=replace(examined, model=extended_model))  # what it leaves over says nothing for it
+    assert over.p_unknown > 0.0
+    assert "gyro_bias" not in over.single
     aside = _unsupported(extended_model, doubtful.temper)
     assert [*aside.parameters] == ["gyro_bias.z"]
     assert aside.sentence.startswith("gyro_bias would do best, but may as well be nothing (gyro_bias.z = ")

@@ -7,7 +7,6 @@ unit by a factor that is known. Nothing is said where the drive is too gentle to
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -30,16 +29,20 @@ LIMITS: Mapping[str, float] = {
 """What no vehicle's channel goes beyond, in its own unit."""
 
 BROKEN = 0.1  # share of samples beyond a limit, from which it is the unit rather than the samples that is wrong
-RUN_S = 0.5  # [s] that a run of absurd samples lasts at most
+RUN_S = 1.0  # [s] that a run of absurd samples lasts at most
 JUMP, BACK = 10.0, 0.25  # times all but the largest usual changes, and of the jump that is not taken back
 MOST_JUMPED = 0.02  # share of samples in such runs, from which it is what the channel does
 SMOOTHED_S = 0.5  # [s] over which signals are averaged before they are compared
-ALIKE, OFF = 0.8, 0.25  # correlation that tells, and relative distance from a known factor
+ALIKE, UNLIKE, OFF = 0.8, 0.5, 0.25  # correlations that tell, and relative distance from a known factor
 LEAST = {"a": 0.4, "turn": 0.02, "steering": 0.005}  # spread that tells: [m/s^2], of yaw rate over speed [1/m], [rad]
 LIKELY = 0.5, 2.0  # gains that sensors and roads may have
 REST_V, REST_S, REST_TURN, REST_A = 0.3, 1.0, 0.005, 0.3  # [m/s], [s], [rad/s], [m/s^2]
 MOVING = 2.0  # [m/s], from which slips and turns tell
 SPEED_UNIT, DEGREE = 3.6, np.degrees(1.0)
+SIGN = "the opposite sign"
+COURSES = {"turning": "v_x times yaw rate", "gaining": "dv_x/dt"}
+WHEELS = tuple(name for name in CHANNELS if name.startswith("wheel_speed"))
+RADIUS = 0.3  # [m] of a wheel, where the speed is told from wheels: good for signs, not for gains
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,8 @@ def absurd(
 
 
 def _out_and_back(values: Float[np.ndarray, " rows"], most: int) -> Bool[np.ndarray, " rows"]:
-    """Runs of at most so many samples between two jumps that undo each other, each far beyond all usual changes."""
+    """Runs of at most so many samples between two jumps that undo each other, each far beyond all usual changes; there
+    may be others between them."""
     found, known = np.zeros(len(values), dtype=bool), np.flatnonzero(np.isfinite(values))
     x = values[known]
     changes = np.diff(x)
@@ -75,10 +79,13 @@ def _out_and_back(values: Float[np.ndarray, " rows"], most: int) -> Bool[np.ndar
         return found
     usual = max(float(np.quantile(np.abs(changes), 0.99)), float(np.median(np.abs(changes[changes != 0.0]))))
     jumps = np.flatnonzero(np.abs(changes) > JUMP * usual)
-    for out, back in pairwise(jumps):
-        undone = abs(x[back + 1] - x[out]) < BACK * abs(changes[out])
-        if changes[out] * changes[back] < 0.0 and back - out <= most and undone:
-            found[known[out + 1] : known[back] + 1] = True
+    done = -1
+    for out in jumps:
+        later = jumps[(jumps > out) & (jumps <= out + most)]
+        undone = later[np.abs(x[later + 1] - x[out]) < BACK * abs(changes[out])]
+        if out > done and len(undone):
+            done = undone[0]
+            found[known[out + 1] : known[done] + 1] = True
     return found if found.mean() < MOST_JUMPED else np.zeros(len(values), dtype=bool)
 
 
@@ -97,8 +104,20 @@ def _runs(which: Bool[np.ndarray, " rows"]) -> Int[np.ndarray, "runs 2"]:
 def findings(recording: Recording) -> tuple[str, ...]:
     """What the drive contradicts, a sentence each; empty for a plausible recording or one too gentle to tell."""
     x = {name: _smoothed(recording, name) for name in ("v_x", "a_x", "a_y", "yaw_rate", "steering", "steering_wheel")}
-    found = [*_limits(recording), *_lateral(x), *_longitudinal(x, recording.rate), *_steering(x), *_at_rest(recording)]
-    return tuple(found)
+    scaled = bool(np.isfinite(x["v_x"]).any())
+    x["v_x"] = x["v_x"] if scaled else _of_wheels(recording)
+    x["turning"], x["gaining"] = x["v_x"] * x["yaw_rate"], np.gradient(x["v_x"]) * recording.rate
+    told = [*_swapped(x), *_lateral(x), *_longitudinal(x), *_steering(x)]
+    return (*_limits(recording), *(line for line in told if scaled or SIGN in line), *_at_rest(recording))
+
+
+def _of_wheels(recording: Recording) -> Float[np.ndarray, " time"]:
+    """The speed as the wheels have it on the mean, up to their radius; NaN where none was measured."""
+    each = np.array([_smoothed(recording, name) for name in WHEELS])
+    measured = np.isfinite(each)
+    return RADIUS * np.where(
+        measured.any(axis=0), np.nansum(each, axis=0) / np.maximum(measured.sum(axis=0), 1), np.nan
+    )
 
 
 def _smoothed(recording: Recording, name: str) -> Float[np.ndarray, " time"]:
@@ -133,14 +152,27 @@ def _limits(recording: Recording) -> list[str]:
     return said
 
 
+def _swapped(x: Mapping[str, np.ndarray]) -> list[str]:
+    """Whether one axis of the accelerometer reads what the other should."""
+    for course, own, other in (("turning", "a_y", "a_x"), ("gaining", "a_x", "a_y")):
+        right, wrong = (_relation(x[name], x[course], LEAST["a"]) for name in (own, other))
+        if right is None or wrong is None:
+            continue
+        if abs(wrong.correlation) > ALIKE and abs(right.correlation) < UNLIKE:
+            return [
+                f"{other} follows {COURSES[course]} (correlation {wrong.correlation:.2f}), and {own} does not: the axes "
+                "seem swapped."
+            ]
+    return []
+
+
 def _lateral(x: Mapping[str, np.ndarray]) -> list[str]:
     """a_y against the yaw rate times the speed."""
-    turning = x["v_x"] * x["yaw_rate"]
-    one = _relation(x["a_y"], turning, LEAST["a"])
+    one = _relation(x["a_y"], x["turning"], LEAST["a"])
     if one is None:
         return []
     if one.correlation < -ALIKE:
-        return [f"a_y has the opposite sign of v_x times yaw rate (correlation {one.correlation:.2f}): one is flipped."]
+        return [f"a_y has {SIGN} of v_x times yaw rate (correlation {one.correlation:.2f}): one is flipped."]
     if one.by(1.0 / GRAVITY):
         return [f"a_y is {one.slope:.2g} times v_x times yaw rate: it seems to be in g, not m/s^2."]
     if one.by(1.0 / SPEED_UNIT):
@@ -150,13 +182,13 @@ def _lateral(x: Mapping[str, np.ndarray]) -> list[str]:
     return _gain("a_y", "v_x times yaw rate", one)
 
 
-def _longitudinal(x: Mapping[str, np.ndarray], rate: float) -> list[str]:
+def _longitudinal(x: Mapping[str, np.ndarray]) -> list[str]:
     """a_x against what the speed gains."""
-    one = _relation(x["a_x"], np.gradient(x["v_x"]) * rate, LEAST["a"])
+    one = _relation(x["a_x"], x["gaining"], LEAST["a"])
     if one is None:
         return []
     if one.correlation < -ALIKE:
-        return [f"a_x has the opposite sign of dv_x/dt (correlation {one.correlation:.2f}): one is flipped."]
+        return [f"a_x has {SIGN} of dv_x/dt (correlation {one.correlation:.2f}): one is flipped."]
     if one.by(1.0 / GRAVITY):
         return [f"a_x is {one.slope:.2g} times dv_x/dt: it seems to be in g, not m/s^2."]
     if one.by(1.0 / SPEED_UNIT):
@@ -180,7 +212,7 @@ def _steering(x: Mapping[str, np.ndarray]) -> list[str]:
         one = _relation(turn, np.where(moving, x[name], np.nan), LEAST["steering"])
         if one is not None and one.correlation < -ALIKE:
             return [
-                f"{name} has the opposite sign of the yaw rate (correlation {one.correlation:.2f}): one is flipped."
+                f"{name} has {SIGN} of the yaw rate (correlation {one.correlation:.2f}): one is flipped."
             ]
     return []
 

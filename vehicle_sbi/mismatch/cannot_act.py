@@ -33,7 +33,7 @@ def _reason(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effect
         return "none of the sensors that it belongs to is recorded"
     wider = _measuring_everything(simulator)
     if found := directions(wider, theta, effect):
-        return f"it acts on {_listed(_moved(wider, theta, found))} alone, not recorded"
+        return f"it acts on {_listed(_moved(wider, theta, found))} alone, not among the channels that are compared"
     return "nothing in how the car is driven brings it out"
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vehicle_sbi.mismatch.base_fit import as_stated, likelier, off_rims
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.candidates import Direction, within
 from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model, Version, examine, glance, versions
@@ -114,8 +115,22 @@ def explain(
             break
         best = examine(named[0], repertoire, rng)
         unnamed += beside(best, base.simulator.space)
+    if (freed := off_its_rims(best.model)) is not best.model:
+        pool[freed.effects] = freed
+        named = sorted((model for model in pool.values() if model.effects), key=weight, reverse=True)
+        best = examine(freed, repertoire, rng)
     sizes = tuple(sorted({d.parameter.name for d in known}))
     return Explanation(named, unnamed, first, best, belief, sizes=sizes, full=full).supported()
+
+
+def off_its_rims(model: Model) -> Model:
+    """The model with a likelier fit from off the rims that it ends on and from the vehicle file, if there is one."""
+    fit = model.fit
+    if not model.effects or fit.inside.all():
+        return model
+    stated = np.where(model.own, fit.theta, as_stated(fit.simulator))
+    found = likelier(fit, [off_rims(fit), stated])
+    return model if found is fit else replace(model, fit=found)
 
 
 def exchanged(

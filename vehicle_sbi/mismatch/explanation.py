@@ -166,13 +166,20 @@ class Explanation:
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     def _stand_ins(self, effects: tuple[str, ...]) -> dict[tuple[str, ...], float]:
-        """Sets as large as this one, by how probable they are among themselves; itself if there are none."""
+        """Sets as large as this one, by how probable they are among themselves; if there are none, what of it is not
+        set aside."""
         alike = [model for model in self.models if len(model.effects) == len(effects)]
         if not alike:
-            return {effects: 1.0}
+            return {self._without_doubt(effects): 1.0}
         weight = np.array([model.weight(self.belief, self.temper) for model in alike])
         parts = np.exp(weight - np.logaddexp.reduce(weight))
         return {model.effects: float(part) for model, part in zip(alike, parts, strict=True)}
+
+    def _without_doubt(self, effects: tuple[str, ...]) -> tuple[str, ...]:
+        """Of a set that is set aside the effects whose sizes are not nothing."""
+        aside = next((model for model in self.doubtful if model.effects == effects), None)
+        nothing = [] if aside is None else unsupported(aside, self.sizes, self.temper)
+        return tuple(effect for effect in effects if effect not in nothing)
 
     def _kept(self, effects: tuple[str, ...]) -> dict[tuple[str, ...], float]:
         """Of a set those that the full model needs: each subset with its probability."""

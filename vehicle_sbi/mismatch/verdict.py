@@ -137,9 +137,11 @@ def verdict(
     found = [_named(explanation, k) for k in range(min(len(explanation.models), LISTED))]
     mismatch = places(explanation) if explanation.detected else []
     rest = sum(explanation.probability[LISTED:])
-    base = explanation.base.model.fit
-    cornered = _rim(base)
-    warnings = [*case.warnings, *_cornered(cornered), *passed.notes, *cornered, *_misfit(base)]
+    models = {"base": explanation.base.model, "extended": model}
+    on_rims = {called: _rim(one, called) for called, one in models.items() if called == "base" or one.effects}
+    cornered = [line for called, lines in on_rims.items() for line in _cornered(lines, called)]
+    misfit = _misfit(explanation.base.model.fit)
+    warnings = [*case.warnings, *cornered, *passed.notes, *itertools.chain(*on_rims.values()), *misfit]
     doubtful = [_unsupported(model, explanation.temper) for model in explanation.doubtful[:DOUBTED]]
     said = sentence(explanation, found, doubtful, mismatch, together, unknown, accepted, seen, covered)
     return Verdict(
@@ -166,7 +168,7 @@ def verdict(
         unsupported=doubtful,
         warnings=warnings,
         notes=[*warnings, *_doubts(explanation), *_unpredicted(explanation, predictions), *case.notes],
-        sentence=said if passed.trusted and not _cornered(cornered) else distrusted(said),
+        sentence=said if passed.trusted and not _cornered(on_rims["base"], "base") else distrusted(said),
     )
 
 
@@ -227,18 +229,19 @@ def exchangeable(together: Sequence[Sequence[str]]) -> list[list[str]]:
     return [sorted(group) for group in groups]
 
 
-def _rim(fit: Fit) -> list[str]:
+def _rim(model: Model, called: str) -> list[str]:
     """Base parameters that want to leave their box: what is missing may hide in them."""
-    names = np.array(fit.simulator.space.names)[~fit.inside]
-    return [f"{name} lies on the edge of its prior in the base model, where a mismatch may hide." for name in names]
+    fit = model.fit
+    names = np.array(fit.simulator.space.names)[~fit.inside & ~model.own]
+    return [f"{name} lies on the edge of its prior in the {called} model, where a mismatch may hide." for name in names]
 
 
-def _cornered(on_rims: Sequence[str]) -> list[str]:
-    """What is said first of a base model that ends on several rims."""
+def _cornered(on_rims: Sequence[str], called: str) -> list[str]:
+    """What is said first of a model that ends on several rims."""
     if len(on_rims) < CORNERED:
         return []
     return [
-        f"The base model's fit ends on the edges of {len(on_rims)} priors at once: what is missing hides in its "
+        f"The {called} model's fit ends on the edges of {len(on_rims)} priors at once: what is missing hides in its "
         "parameters, and names that follow are rough. State wider priors, or the constants that are known."
     ]
 

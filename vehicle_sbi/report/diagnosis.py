@@ -71,7 +71,7 @@ def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, 
         if again is None:
             found = _kept(folder, "sizes", Explanation, lambda: sized(searched, sizes).supported(), bar)
         else:
-            found = _kept(folder, "posterior", Explanation, lambda: again.of(searched, rounds), bar)
+            found = _kept(folder, "posterior", Explanation, lambda: again.of(searched, rounds).supported(), bar)
     with folder.stage("report"):
         predictions, gained = proved(case, found)
         answer = verdict(case, passed, found, predictions, gained, seen)
