@@ -1,6 +1,6 @@
 """Measures of a benchmark's page: what each case adds to a statistic, and its interval by a bootstrap over cases."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -49,3 +49,9 @@ def shown(measure: Measure[Case], cases: Sequence[Case]) -> str:
     whole = np.concatenate(parts)
     value, digits = measure.statistic(whole), 3 if abs(high) < 0.2 else 2 if abs(high) < 10 else 1
     return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f}; {len(whole)})"
+
+
+def without_answer(cases: Mapping[str, Sequence[int]]) -> str:
+    """A sentence on the cases that each diagnosis has not answered, which are in no row."""
+    told = [f"{name} {len(which)} ({', '.join(map(str, which))})" for name, which in cases.items() if which]
+    return f"Without an answer, and so in no row: {'; '.join(told)}." if told else "Every case was answered."

@@ -67,7 +67,7 @@ def test_what_comes_with_an_effect_is_scored_and_what_was_there_is_not(tmp_path:
     assert found.moved.tolist() == [0.0]
     assert found.moved_base == pytest.approx([0.03 / (0.03 * np.sqrt(2.0))])
     assert difference(tmp_path, 1, "tool") is None
-    assert "| 1.00 (1.00 to 1.00; 1) |" in page.report({"tool": [found]}, "prove", "here")
+    assert "| 1.00 (1.00 to 1.00; 1) |" in page.report({"tool": [found]}, {"tool": []}, "prove", "here")
 
 
 def test_what_cannot_be_told_from_it_counts_and_sizes_add_to_the_car_s_own(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +10,17 @@ import numpy as np
 import pytest
 import yaml
 from concealed.outside import OUTSIDE
+from concealed.twin import ROLL_GRADIENT
 from measures import shown
 from score_files import called, lines_of
 from whole_car import cases, oracle, page
 from whole_car.benchmark import WholeCars
 from whole_car.cars import INHERENT, LATERAL, OFF, RATE, whole_car
 from whole_car.missing import FEWEST, MOST, REAL
-from whole_car.scores import Scored, as_line, from_line, parameters, scored
+from whole_car.scores import Scored, as_line, from_line, parameters, scored, standing
 
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
+from vehicle_sbi.physics.vehicle import GRAVITY
 
 
 def test_every_effect_and_size_is_one_of_the_catalogue_s_within_its_box() -> None:
@@ -49,6 +52,20 @@ def test_cars_have_as_much_missing_as_is_stated() -> None:
     assert shares["multi-body car"] == pytest.approx(0.2, abs=0.16)
     assert np.mean([bool(set(car.effects) & set(OUTSIDE)) for car in cars]) == pytest.approx(1 / 3, abs=0.19)
     assert np.mean(["relaxation" in car.effects for car in cars if car.world_name != "multi-body car"]) > 0.5
+
+
+def test_what_a_world_has_by_itself_is_what_it_does_with_nothing_put_into_it() -> None:
+    """The twin whose IMU leans reads what one on a level platform reads with that much of `body_roll`."""
+    car = next(car for i in range(9) if (car := whole_car(np.random.default_rng((0, i)))).world_name == "twin")
+    twin: Any = car.world
+    level, leaning = (replace(twin, on_body=on_body).drive(car.train[0], {}) for on_body in (False, True))
+    assert level is not None
+    assert leaning is not None
+    gain = float(np.dot(leaning["a_y"], level["a_y"]) / np.dot(level["a_y"], level["a_y"]))
+    assert gain == pytest.approx(1.0 + GRAVITY * ROLL_GRADIENT, abs=0.02)  # the body lags, and swings a little
+    assert "body_roll" in INHERENT["twin, IMU on the body"]
+    assert "body_roll" not in INHERENT["twin"]
+    assert "accelerometer_scale" in standing({"effects": {}, "inherent": ["body_roll"]})
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +120,7 @@ def verdict(effects: dict[str, float], base: dict[str, float]) -> dict[str, Any]
 def test_names_are_held_against_what_is_there_and_what_is_like_it(built: Path) -> None:
     truth = truth_of(built, 1)
     there = next(iter(truth["effects"]))
-    truth["effects"][there] |= {"snr_beyond": 20.0, "alike": ["gust"]}
+    truth["effects"][there] |= {"snr": 25.0, "snr_beyond": 20.0, "alike": ["gust"]}
     (built / "sealed" / "0001.json").write_text(json.dumps(truth))
     absent = next(name for name in CATALOGUE if name not in truth["effects"] and name != "gust" and not any(
         name in one["alike"] for one in truth["effects"].values()) and name not in truth["inherent"]
@@ -123,11 +140,15 @@ def test_names_are_held_against_what_is_there_and_what_is_like_it(built: Path) -
     assert not one.before.held.any()  # twice their standard deviation off
     assert one.after.held.all()
     assert one.after.in_std == pytest.approx(0.4)
-    text = page.report({"mine": [one]}, "python scripts/prove.py mix=whole_car", "here")
+    assert one.inclusion.shape == (len(CATALOGUE), 2)
+    truth["effects"][there]["snr"] = 1.0  # what hardly shows excuses no name
+    assert "gust" not in standing(truth)
+    text = page.report({"mine": [one]}, {"mine": [7]}, "python scripts/prove.py mix=whole_car", "here")
+    assert "Without an answer, and so in no row: mine 1 (7)." in text
     assert "| names above 0.5 that are not there, a case | 1.00 (1.00 to 1.00; 1) | 0.3 | 0.1 |" in text
     assert len(page.table([one])) == 1
     again = from_line(as_line(one))  # a score that is kept is the same one
-    assert page.report({"mine": [again]}, "python scripts/prove.py mix=whole_car", "here") == text
+    assert page.report({"mine": [again]}, {"mine": [7]}, "python scripts/prove.py mix=whole_car", "here") == text
 
 
 def test_scores_that_are_kept_stand_for_cases_that_are_not_there(built: Path, tmp_path: Path) -> None:

@@ -29,9 +29,13 @@ class Injected:
     def judged(
         self, folder: Path, built: Sequence[int], diagnoses: Sequence[str], command: str, where: str
     ) -> tuple[pd.DataFrame, str]:
-        answered = [i for i in built if all(difference(folder, i, name) for name in diagnoses)]
-        columns = {name: [d for i in answered if (d := difference(folder, i, name))] for name in diagnoses}
-        return page.table(columns[diagnoses[0]]), page.report(columns, command, where)
+        found = {name: {i: d for i in built if (d := difference(folder, i, name))} for name in diagnoses}
+        unanswered = {name: [i for i in built if i not in one] for name, one in found.items()}
+        columns = {
+            name: [d for i, d in one.items() if all(i in other for other in found.values())]
+            for name, one in found.items()
+        }
+        return page.table(columns[diagnoses[0]]), page.report(columns, unanswered, command, where)
 
     def kept(self, folder: Path, built: Sequence[int], diagnosis: str) -> Mapping[int, str]:
         return {}

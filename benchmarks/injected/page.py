@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-from measures import Measure, listed, mean, median, rms, shown
+from measures import Measure, listed, mean, median, rms, shown, without_answer
 
 from injected.scores import NAMED, Difference
 from vehicle_sbi.report.tables import markdown
@@ -30,8 +30,10 @@ def compared(columns: Mapping[str, Sequence[Difference]]) -> pd.DataFrame:
     )
 
 
-def report(columns: Mapping[str, Sequence[Difference]], command: str, where: str) -> str:
-    """The page, by which command it was made, and where."""
+def report(
+    columns: Mapping[str, Sequence[Difference]], unanswered: Mapping[str, Sequence[int]], command: str, where: str
+) -> str:
+    """The page, by which command it was made, and where; pairs that a diagnosis gave no answer to are none of it."""
     first = next(iter(columns.values()))
     sources = pd.Series([one.source for one in first]).value_counts()
     return "\n\n".join(
@@ -42,6 +44,7 @@ def report(columns: Mapping[str, Sequence[Difference]], command: str, where: str
             "each diagnosed as it is and with an effect put into its channels. What the car itself lacks in the model "
             "is not known; scored is the difference. Value (90 % interval by a bootstrap over pairs; number of "
             "values).",
+            without_answer(unanswered),
             markdown(compared(columns)),
             where,
         ]

@@ -34,9 +34,10 @@ class WholeCars:
     ) -> tuple[pd.DataFrame, str]:
         """Columns are the diagnoses and simpler methods, each over the cases that all diagnoses have answered."""
         found = {called(name): _every(folder, built, name) for name in diagnoses}
-        answered = [i for i in built if all(i in one for name, one in found.items() if name not in SIMPLER)]
+        unanswered = {name: [i for i in built if i not in one] for name, one in found.items() if name not in SIMPLER}
+        answered = [i for i in built if not any(i in one for one in unanswered.values())]
         columns = {SIMPLER.get(name, name): [one[i] for i in answered if i in one] for name, one in found.items()}
-        return page.table(next(iter(columns.values()))), page.report(columns, command, where)
+        return page.table(next(iter(columns.values()))), page.report(columns, unanswered, command, where)
 
     def kept(self, folder: Path, built: Sequence[int], diagnosis: str) -> Mapping[int, str]:
         return {i: as_line(one) for i, one in _every(folder, built, diagnosis).items()}

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
-from measures import Measure, listed, mean, median, rms, shown
+from measures import Measure, listed, mean, median, rms, shown, without_answer
 
 from vehicle_sbi.report.tables import markdown
 from whole_car.scores import NAMED, STRONG, Parameters, Scored
@@ -63,7 +63,11 @@ MEASURES: tuple[Measure[Scored], ...] = (
         f"names above {NAMED} that are not there, a case", lambda one: listed(len(one.wrong)), mean, "0.3", "0.1"
     ),
     Measure(f"names above {NAMED}, a case", lambda one: listed(len(one.names)), mean),
-    Measure("calibration error of inclusion probabilities", lambda one: one.inclusion, calibration, "0.05", "0.03"),
+    Measure(
+        "calibration error of inclusion probabilities above 0", lambda one: one.inclusion[one.inclusion[:, 0] > 0.0],
+        calibration, "0.05", "0.03",
+    ),
+    Measure("the same, of all effects of the catalogue", lambda one: one.inclusion, calibration),
     Measure("sizes of named effects: 90 % intervals hold", lambda one: one.sizes, mean, "0.85", "0.90"),
     Measure(
         "share of the held-out misfit that the oracle removes",
@@ -112,8 +116,10 @@ def missed(columns: Mapping[str, Sequence[Scored]]) -> pd.DataFrame:
     return pd.DataFrame([{"effect": effect, **cells} for effect, cells in rows.items()]).fillna("")
 
 
-def report(columns: Mapping[str, Sequence[Scored]], command: str, where: str) -> str:
-    """The page, by which command it was made, and where."""
+def report(
+    columns: Mapping[str, Sequence[Scored]], unanswered: Mapping[str, Sequence[int]], command: str, where: str
+) -> str:
+    """The page, by which command it was made, and where; cases that a diagnosis gave no answer to are none of it."""
     first = next(iter(columns.values()))
     worlds = pd.Series([one.world for one in first]).value_counts()
     outside = sum(bool(one.outside) for one in first)
@@ -126,6 +132,7 @@ def report(columns: Mapping[str, Sequence[Scored]], command: str, where: str) ->
             "Value (90 % interval by a bootstrap over cases; number of values). What cannot be told from a true effect "
             "(coherence of 0.95 or more after the base parameters) counts as true, and so does what the world has by "
             "itself. The oracle is told which effects are there.",
+            without_answer(unanswered),
             markdown(compared(columns)),
             f"## Named above {NAMED}, and not there\n\n{markdown(wrong_names(columns))}",
             f"## Named, or what cannot be told from it, where SNR is {STRONG:g} or more beyond all others\n\n"

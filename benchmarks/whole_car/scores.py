@@ -10,8 +10,12 @@ import numpy as np
 import yaml
 from scipy.stats import norm
 
+from vehicle_sbi.physics.effects import CATALOGUE
+from whole_car.cars import LIKE
+
 NAMED = 0.5  # probability, from which an effect is named
 STRONG = 8.0  # signal-to-noise ratio beyond all other effects, from which one should be named
+SHOWS = 4.0  # signal-to-noise ratio after the base parameters, from which an effect excuses the name of what is like it
 REDUCIBLE = 0.1  # of the oracle's error, by which a channel's has to exceed it for there to be anything to gain
 Z90 = float(norm.ppf(0.95))
 SIMPLER = {"bic": "forward selection by BIC", "lasso": "lasso, BIC"}
@@ -67,9 +71,10 @@ def from_line(line: str) -> Scored:
 
 
 def standing(truth: Json) -> set[str]:
-    """Effects that are there, that the world has by itself, or that cannot be told from one that is there."""
-    alike = {name for one in truth["effects"].values() for name in one["alike"]}
-    return {*truth["effects"], *truth["inherent"], *alike}
+    """Effects that are there, that the world has by itself, or that cannot be told from one that is there and shows."""
+    alike = {name for one in truth["effects"].values() if one["snr"] >= SHOWS for name in one["alike"]}
+    like = {name for one in truth["inherent"] for name in LIKE.get(one, ())}
+    return {*truth["effects"], *truth["inherent"], *alike, *like}
 
 
 def parameters(truth: Mapping[str, float], said: Mapping[str, Json]) -> Parameters | None:
@@ -112,7 +117,7 @@ def _gained(verdict: Json, oracle: Json | None) -> tuple[float, float]:
 
 def _inclusion(truth: Json, said: Mapping[str, float]) -> np.ndarray:
     there = {*truth["effects"], *truth["inherent"]}
-    return np.array([[p, float(name in there)] for name, p in said.items() if p > 0.0]).reshape(-1, 2)
+    return np.array([[said.get(name, 0.0), float(name in there)] for name in CATALOGUE])
 
 
 def scored(folder: Path, index: int, diagnosis: str) -> Scored | None:

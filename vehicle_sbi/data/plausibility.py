@@ -211,9 +211,7 @@ def _steering(x: Mapping[str, np.ndarray]) -> list[str]:
     for name in ("steering", "steering_wheel"):
         one = _relation(turn, np.where(moving, x[name], np.nan), LEAST["steering"])
         if one is not None and one.correlation < -ALIKE:
-            return [
-                f"{name} has {SIGN} of the yaw rate (correlation {one.correlation:.2f}): one is flipped."
-            ]
+            return [f"{name} has {SIGN} of the yaw rate (correlation {one.correlation:.2f}): one is flipped."]
     return []
 
 

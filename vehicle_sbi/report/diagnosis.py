@@ -200,8 +200,8 @@ def _explanations(answer: Verdict) -> pd.DataFrame:
         {"explanation": "none", "probability": f"{answer.p_none:.3f}"},
         {"explanation": "unknown", "probability": f"{answer.p_unknown:.3f}"},
     ]
-    table = pd.DataFrame(rows, columns=["explanation", "probability", "with something unknown", "held out", "size"])
-    table = table.fillna("")
+    columns = ["explanation", "probability", "with something unknown", "held out", "size"]
+    table = pd.DataFrame(rows, columns=columns, dtype=object).fillna("")
     return table.loc[:, ["explanation", "probability", *(c for c in table.columns[2:] if table[c].any())]]
 
 
