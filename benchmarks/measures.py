@@ -51,6 +51,12 @@ def shown(measure: Measure[Case], cases: Sequence[Case]) -> str:
     return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f}; {len(whole)})"
 
 
+def by_all(found: Mapping[str, Mapping[int, Case]], cases: Sequence[int]) -> tuple[list[int], dict[str, list[int]]]:
+    """The cases that every diagnosis has answered, and those that each has not."""
+    unanswered = {name: [i for i in cases if i not in one] for name, one in found.items()}
+    return [i for i in cases if all(i in one for one in found.values())], unanswered
+
+
 def without_answer(cases: Mapping[str, Sequence[int]]) -> str:
     """A sentence on the cases that each diagnosis has not answered, which are in no row."""
     told = [f"{name} {len(which)} ({', '.join(map(str, which))})" for name, which in cases.items() if which]

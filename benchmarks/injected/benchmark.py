@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
+from measures import by_all
 
 from injected import cases, page
 from injected.cases import HALVES
@@ -30,11 +31,8 @@ class Injected:
         self, folder: Path, built: Sequence[int], diagnoses: Sequence[str], command: str, where: str
     ) -> tuple[pd.DataFrame, str]:
         found = {name: {i: d for i in built if (d := difference(folder, i, name))} for name in diagnoses}
-        unanswered = {name: [i for i in built if i not in one] for name, one in found.items()}
-        columns = {
-            name: [d for i, d in one.items() if all(i in other for other in found.values())]
-            for name, one in found.items()
-        }
+        answered, unanswered = by_all(found, built)
+        columns = {name: [one[i] for i in answered] for name, one in found.items()}
         return page.table(columns[diagnoses[0]]), page.report(columns, unanswered, command, where)
 
     def kept(self, folder: Path, built: Sequence[int], diagnosis: str) -> Mapping[int, str]:

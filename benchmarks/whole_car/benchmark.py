@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 from concealed.baselines import write as write_baselines
+from measures import by_all
 from score_files import SUFFIX, called, lines_of
 
 from whole_car import cases, oracle, page
@@ -34,8 +35,7 @@ class WholeCars:
     ) -> tuple[pd.DataFrame, str]:
         """Columns are the diagnoses and simpler methods, each over the cases that all diagnoses have answered."""
         found = {called(name): _every(folder, built, name) for name in diagnoses}
-        unanswered = {name: [i for i in built if i not in one] for name, one in found.items() if name not in SIMPLER}
-        answered = [i for i in built if not any(i in one for one in unanswered.values())]
+        answered, unanswered = by_all({name: one for name, one in found.items() if name not in SIMPLER}, built)
         columns = {SIMPLER.get(name, name): [one[i] for i in answered if i in one] for name, one in found.items()}
         return page.table(next(iter(columns.values()))), page.report(columns, unanswered, command, where)
 

@@ -160,8 +160,8 @@ def _swapped(x: Mapping[str, np.ndarray]) -> list[str]:
             continue
         if abs(wrong.correlation) > ALIKE and abs(right.correlation) < UNLIKE:
             return [
-                f"{other} follows {COURSES[course]} (correlation {wrong.correlation:.2f}), and {own} does not: axes "
-                "seem swapped."
+                f"{other} follows {COURSES[course]} (correlation {wrong.correlation:.2f}), and {own} does not: "
+                "the axes seem swapped."
             ]
     return []
 
