@@ -8,7 +8,7 @@ from recorded import fitted, lateral, recorded
 from scipy.integrate import quad
 from scipy.stats import kstest
 
-from vehicle_sbi.mismatch.candidates import directions, slopes
+from vehicle_sbi.inference.directions import directions, slopes
 from vehicle_sbi.mismatch.detect import Scores, score
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.locate import bump, clock, stretches

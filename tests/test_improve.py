@@ -8,7 +8,7 @@ from recorded import fitted, lateral, recorded
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from vehicle_sbi.mismatch.candidates import left_out
+from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.mismatch.examine import Model, examine, versions
 from vehicle_sbi.mismatch.explain import extended
 from vehicle_sbi.mismatch.fit import Observation

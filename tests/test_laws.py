@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.candidates import left_out
+from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Observation

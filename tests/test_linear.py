@@ -6,7 +6,7 @@ import numpy as np
 from recorded import TRUTH, fitted, lateral, recorded
 from scipy.optimize import lsq_linear
 
-from vehicle_sbi.mismatch.candidates import directions, slopes
+from vehicle_sbi.inference.directions import directions, slopes
 from vehicle_sbi.mismatch.linear import Linearised, _bounded, profile
 from vehicle_sbi.mismatch.search import best
 from vehicle_sbi.parameters import ParameterSpace

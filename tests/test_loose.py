@@ -7,7 +7,7 @@ import pytest
 from recorded import fitted, lateral, recorded
 from scipy.integrate import quad
 
-from vehicle_sbi.mismatch.candidates import left_out
+from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.laws import targets

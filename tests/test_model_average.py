@@ -7,7 +7,7 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 from scipy.stats import truncnorm
 
-from vehicle_sbi.mismatch.candidates import left_out
+from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.explanation import Explanation

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.candidates import STEPS, directions, shared, slopes
+from vehicle_sbi.inference.directions import STEPS, directions, shared, slopes
 from vehicle_sbi.mismatch.examine import NEAR, Model, glance, versions
 from vehicle_sbi.mismatch.fit import linearise
 from vehicle_sbi.mismatch.repertoire import Repertoire

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recorded import TRUTH, lateral, recorded
 
-from vehicle_sbi.mismatch.candidates import within
+from vehicle_sbi.inference.directions import within
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.fit import Observation, descend, with_own_noise
 from vehicle_sbi.mismatch.sampled import _step, sampled

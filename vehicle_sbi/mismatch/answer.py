@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
-from vehicle_sbi.mismatch.candidates import SPAN
+from vehicle_sbi.inference.directions import SPAN
 from vehicle_sbi.mismatch.latent import Latent
 from vehicle_sbi.mismatch.locate import Stretch, spoken
 from vehicle_sbi.rounding import mean_and_std

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.beyond import Beyond
-from vehicle_sbi.mismatch.candidates import STEPS, Direction, allowed, null, shared, tile
+from vehicle_sbi.inference.directions import STEPS, Direction, allowed, null, shared, tile
 from vehicle_sbi.mismatch.detect import Scores, score
 from vehicle_sbi.mismatch.fit import Fit, log_volume
 from vehicle_sbi.mismatch.laws import Law

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.mismatch.candidates import Direction, null
+from vehicle_sbi.inference.directions import Direction, null
 from vehicle_sbi.mismatch.fit import DAMPING, MOST_STEPS, NEAR_ROUNDS, Fit, Shrinkage, descend, with_own_noise
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE

@@ -12,7 +12,7 @@ from itertools import compress
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vehicle_sbi.mismatch.candidates import STEPS, Direction, extent, shapes, slopes, tiles
+from vehicle_sbi.inference.directions import STEPS, Direction, extent, shapes, slopes, tiles
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law, law_slopes, laws
 from vehicle_sbi.mismatch.locate import Block, blocks

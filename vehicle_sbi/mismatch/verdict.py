@@ -25,7 +25,7 @@ from vehicle_sbi.mismatch.answer import (
     listed,
 )
 from vehicle_sbi.mismatch.beyond import Beyond
-from vehicle_sbi.mismatch.candidates import SPAN
+from vehicle_sbi.inference.directions import SPAN
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.experiment import advice

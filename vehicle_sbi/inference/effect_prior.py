@@ -1,0 +1,75 @@
+"""What is believed of missing physics before a recording is seen: how often cars have each effect, and how large.
+
+Each parameter along which an effect leaves its null has a rate, the probability that a car has it noticeably, and a
+size, its typical distance from the null. Parameters are missing independently of each other.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
+
+Entry = Sequence[float]  # [rate, size in the parameter's unit]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectPrior:
+    """`table[effect][parameter]` is [rate, size]; a parameter that is not listed has `rate`, and as its size a `share`
+    of how far its box reaches from the null.
+
+    Raises InputError for an unknown name, a rate that is no probability above 0 and below 1, or a size not above 0.
+    """
+
+    table: Mapping[str, Mapping[str, Entry]] = field(default_factory=dict)
+    rate: float = 0.03
+    share: float = 0.1
+
+    def __post_init__(self) -> None:
+        for effect, entries in self.table.items():
+            if effect not in CATALOGUE:
+                raise unknown("effect", effect, CATALOGUE, "effect_prior.table")
+            known = [p.name.split(".")[1] for p in CATALOGUE[effect].parameters]
+            for key, entry in entries.items():
+                if key not in known:
+                    raise unknown("parameter", key, known, f"effect_prior.table.{effect}")
+                _check(entry, f"effect_prior.table.{effect}.{key}")
+        _check((self.rate, self.share), "effect_prior: [rate, share]")
+
+    def rate_of(self, p: Parameter) -> float:
+        """Probability that a car has it noticeably."""
+        entry = self._entry(p)
+        return self.rate if entry is None else float(entry[0])
+
+    def size_of(self, p: Parameter) -> float:
+        """Its typical distance from the null [its unit]; `p` has the box of a car of this size, by which sizes of
+        passenger cars scale."""
+        entry = self._entry(p)
+        if entry is None:
+            return self.share * _reach(p)
+        return float(entry[1]) * _reach(p) / _reach(EFFECT_PARAMETERS[p.name]) if _scales(p) else float(entry[1])
+
+    def _entry(self, p: Parameter) -> Entry | None:
+        effect, _, key = p.name.partition(".")
+        return self.table.get(effect, {}).get(key)
+
+
+def _reach(p: Parameter) -> float:
+    """How far the box reaches from the null."""
+    null = p.null or 0.0
+    return max(p.high - null, null - p.low)
+
+
+def _scales(p: Parameter) -> bool:
+    """Whether the parameter has a unit that scales with the car; boxes in time are as wide as the recording."""
+    return p.unit not in ("1", "s", "rad")
+
+
+def _check(entry: object, where: str) -> None:
+    """Raises InputError where an entry is no pair of a rate and a size."""
+    if not isinstance(entry, Sequence) or isinstance(entry, str) or len(entry) != 2:
+        raise InputError(f"{where} = {entry!r}; it must be [rate, size]")
+    rate, size = entry
+    if any(isinstance(x, bool) or not isinstance(x, int | float) for x in entry) or not (0 < rate < 1 and 0 < size):
+        raise InputError(f"{where} = {list(entry)}; a rate lies between 0 and 1, a size is above 0")
