@@ -6,8 +6,8 @@ import numpy as np
 from studies import constant_noise, simulator
 
 from vehicle_sbi.data.recording import Windows
-from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.directions import responses
+from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.fit import Fit, Observation
 from vehicle_sbi.mismatch.search import best
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS

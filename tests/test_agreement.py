@@ -6,8 +6,8 @@ import numpy as np
 from recorded import fitted, lateral, recorded
 
 from vehicle_sbi.data.recording import joined
-from vehicle_sbi.mismatch.agreement import disagreeing, p_same
 from vehicle_sbi.inference.directions import directions
+from vehicle_sbi.mismatch.agreement import disagreeing, p_same
 from vehicle_sbi.mismatch.examine import Model, glance, versions
 from vehicle_sbi.mismatch.explain import extended
 from vehicle_sbi.mismatch.fit import Observation

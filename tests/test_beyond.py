@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from recorded import fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.beyond import Beyond, let_out, on_rim
 from vehicle_sbi.inference.directions import left_out
+from vehicle_sbi.mismatch.beyond import Beyond, let_out, on_rim
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.fit import Observation

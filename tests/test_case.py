@@ -14,8 +14,8 @@ from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import CHANNELS, Recording, joined, unheld
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.inference.directions import longest
+from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.case import Diagnosis, _shares
 from vehicle_sbi.mismatch.locate import Block, lies_in, own_time, stretches
 from vehicle_sbi.physics.single_track import INPUTS

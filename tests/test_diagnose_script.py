@@ -20,8 +20,8 @@ from test_run_script import ENVIRONMENT
 from test_run_script import run as infer
 from test_stage_file import Trap
 
-from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.inference.directions import Direction
+from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.gate import Gate
 from vehicle_sbi.mismatch.separability import Card

@@ -10,9 +10,9 @@ from cars import PAPER
 from recorded import TRUTH, fitted, lateral, recorded
 from studies import constant_noise, simulator
 
+from vehicle_sbi.inference.directions import responses
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch import experiment, verdict
-from vehicle_sbi.inference.directions import responses
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.experiment import HIDDEN, MENU, WORTH, Experiment, advice, menu, separation, separations
 from vehicle_sbi.mismatch.fit import Observation, linearise

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.inference.directions import left_out
+from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.examine import Model, examine, versions
 from vehicle_sbi.mismatch.explain import exchanged, explain, extended
 from vehicle_sbi.mismatch.explanation import LAPSE, Explanation

@@ -7,8 +7,8 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 from scipy.stats import multivariate_normal
 
-from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.directions import within
+from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.mismatch.fit import Fit, Metric, Observation, linearise, with_own_noise
 from vehicle_sbi.mismatch.search import best, likeliest
 from vehicle_sbi.parameters import ParameterSpace

@@ -7,8 +7,8 @@ import pytest
 from recorded import fitted, lateral, recorded
 from scipy.stats import kstest
 
-from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.directions import left_out
+from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.case import halves
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.explain import explain

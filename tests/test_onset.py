@@ -7,8 +7,8 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 from scipy.integrate import quad
 
-from vehicle_sbi.mismatch.answer import Estimate, Followed
 from vehicle_sbi.inference.directions import left_out, tile
+from vehicle_sbi.mismatch.answer import Estimate, Followed
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.fit import Fit, Observation
 from vehicle_sbi.mismatch.laws import Law, followed, targets, under

@@ -14,8 +14,8 @@ import pytest
 from conftest import ROOT
 from recorded import TRUTH, lateral, recorded
 
-from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.inference.directions import directions
+from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.detect import Group, Scores
 from vehicle_sbi.mismatch.examine import Examined, Model
 from vehicle_sbi.mismatch.explanation import Explanation

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from recorded import fitted, lateral, recorded
 
-from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.directions import left_out
+from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.laws import STEERING, targets

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from recorded import fitted, lateral, recorded
 
+from vehicle_sbi.inference.directions import directions, left_out
 from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Score
 from vehicle_sbi.inference.rounds import Truncated
 from vehicle_sbi.inference.training import Training
-from vehicle_sbi.inference.directions import directions, left_out
 from vehicle_sbi.mismatch.examine import Model, versions
 from vehicle_sbi.mismatch.explain import explain, extended
 from vehicle_sbi.mismatch.reinfer import Reinference

@@ -71,5 +71,5 @@ def _check(entry: object, where: str) -> None:
     if not isinstance(entry, Sequence) or isinstance(entry, str) or len(entry) != 2:
         raise InputError(f"{where} = {entry!r}; it must be [rate, size]")
     rate, size = entry
-    if any(isinstance(x, bool) or not isinstance(x, int | float) for x in entry) or not (0 < rate < 1 and 0 < size):
+    if any(isinstance(x, bool) or not isinstance(x, int | float) for x in entry) or not (0 < rate < 1 and size > 0):
         raise InputError(f"{where} = {list(entry)}; a rate lies between 0 and 1, a size is above 0")

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.directions import Direction, directions, responses, within
+from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.physics.effects import CATALOGUE, Effect
 from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS, MEASUREMENTS
 

@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
+from vehicle_sbi.inference.directions import STEPS, Direction, allowed, null, shared, tile
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.beyond import Beyond
-from vehicle_sbi.inference.directions import STEPS, Direction, allowed, null, shared, tile
 from vehicle_sbi.mismatch.detect import Scores, score
 from vehicle_sbi.mismatch.fit import Fit, log_volume
 from vehicle_sbi.mismatch.laws import Law

@@ -19,8 +19,8 @@ from scipy.linalg import block_diag
 
 from vehicle_sbi.data.noise import MeasurementNoise
 from vehicle_sbi.data.recording import CHANNELS, NEEDED
-from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.directions import null
+from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.fit import Fit, Metric, linearise
 from vehicle_sbi.parameters import Parameter, ParameterSpace

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from vehicle_sbi.inference.directions import Direction, within
 from vehicle_sbi.mismatch.base_fit import as_stated, likelier, off_rims
 from vehicle_sbi.mismatch.belief import Belief
-from vehicle_sbi.inference.directions import Direction, within
 from vehicle_sbi.mismatch.examine import LEVEL, Examined, Model, Version, examine, glance, versions
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import NEAR_STEPS, Fit, descend, settled

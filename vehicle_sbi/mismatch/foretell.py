@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.directions import null
+from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.fit import Fit, Observation, linearise
 from vehicle_sbi.mismatch.laws import Law, followed, moved

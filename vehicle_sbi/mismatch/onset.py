@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.directions import extent, tile
+from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.detect import uniform_evidence
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import Law, Target, law_slopes, targets

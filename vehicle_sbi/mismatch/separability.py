@@ -19,9 +19,9 @@ from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import norm
 
+from vehicle_sbi.inference.directions import Direction, left_out, null, slopes
 from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.inference.directions import Direction, left_out, null, slopes
 from vehicle_sbi.mismatch.cannot_act import cannot_act
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE

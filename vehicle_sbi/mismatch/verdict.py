@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy.stats import norm, truncnorm
 
 from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.inference.directions import SPAN
 from vehicle_sbi.mismatch.acceptance import judged
 from vehicle_sbi.mismatch.agreement import disagreeing
 from vehicle_sbi.mismatch.answer import (
@@ -25,7 +26,6 @@ from vehicle_sbi.mismatch.answer import (
     listed,
 )
 from vehicle_sbi.mismatch.beyond import Beyond
-from vehicle_sbi.inference.directions import SPAN
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.experiment import advice

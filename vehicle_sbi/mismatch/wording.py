@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
+from vehicle_sbi.inference.directions import null
 from vehicle_sbi.mismatch.acceptance import Acceptance
 from vehicle_sbi.mismatch.answer import Estimate, Named, Place, Unknown, Unsupported, listed, quantity
-from vehicle_sbi.inference.directions import null
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.locate import Stretch, lies_in, spoken
 from vehicle_sbi.mismatch.separability import Candidate, Card

@@ -13,9 +13,9 @@ import pandas as pd
 from tqdm import tqdm
 
 from vehicle_sbi.files import write_text
+from vehicle_sbi.inference.directions import Direction, left_out
 from vehicle_sbi.mismatch.answer import Verdict, listed, quantity
 from vehicle_sbi.mismatch.base_fit import fitted, refitted
-from vehicle_sbi.inference.directions import Direction, left_out
 from vehicle_sbi.mismatch.case import Case
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.explanation import Explanation
