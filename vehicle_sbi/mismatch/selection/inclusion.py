@@ -1,0 +1,336 @@
+"""Which groups of columns a linear model needs: the posterior over their amplitudes by Gibbs sampling.
+
+With H = X X' and b = X r of whitened columns X and residual r, coefficients normal about zero with precision L(s),
+
+    log p(r | s) = 1/2 b' A^-1 b - 1/2 log det A + 1/2 log det L + const,   A = H + L(s),
+
+where the state s gives each group of columns one of a few amplitudes. A named effect has a *spike*, a size so small
+that it is negligible, and *slabs*, sizes that it has where it is missing (George and McCulloch 1993, stochastic search
+variable selection). How small is negligible is learned, for a model is as exact as its own equations are: where much
+is left over that no column explains, small sizes stand for that. So is how much is missing at all, a factor on the
+odds of all rates. A coefficient that may not be negative counts in a slab by its normal's mass on the right side of
+zero. Coefficients are integrated out; those of the states that are kept are drawn afterwards.
+
+One group's amplitude is drawn given all others; with S = A^-1, m = S b and the eigenvalues e and vectors V of the
+group's block of S, a change d of its precision changes the log evidence by
+sum_i [ - 1/2 log(1 + d e_i) - 1/2 d u_i^2 / (1 + d e_i) ] + q/2 log(ratio of precisions),   u = V' m of the group.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numba import njit
+
+REFRESHED = 10  # sweeps after which S is factorised anew, against rounding
+SWAPS = 6  # of two groups' states, tried in a sweep
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chain:
+    """Sweeps of each of several chains that start apart, how many of them are forgotten, and every how many one is kept."""
+
+    chains: int = 4
+    sweeps: int = 600
+    forgotten: int = 150
+    every: int = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Groups:
+    """Groups of neighbouring columns and what is believed of them before.
+
+    `stop` is where each group's columns end; those before `start` have a fixed `precision` each. `amplitude` (k,
+    levels) are the standard deviations of a group's coefficients at each level, the first of them the spike's of a
+    named group or (next to) nothing, `share` their prior probabilities beside the first one's. `rate` is the probability
+    of any level beside the first, `named` says which groups are effects, whose spike and rate follow what is learned of
+    all; `sign` (columns) is 1 for a coefficient that cannot be negative, -1 for one that cannot be positive.
+    """
+
+    start: int
+    stop: Int[np.ndarray, " k"]
+    precision: Float[np.ndarray, " fixed"]
+    amplitude: Float[np.ndarray, "k levels"]
+    share: Float[np.ndarray, "k levels"]
+    rate: Float[np.ndarray, " k"]
+    named: Bool[np.ndarray, " k"]
+    sign: Int[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shared:
+    """What all groups share and is learned: spikes as shares of an effect's typical size, factors on the odds of
+    effects and of discrepancies, each as likely as the others of its list before."""
+
+    spikes: Sequence[float] = (0.003, 0.03, 0.1, 0.2)
+    missing: Sequence[float] = (0.03, 0.1, 0.3, 1.0)
+    discrepant: Sequence[float] = (0.1, 0.3, 1.0)
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """States and coefficients that were kept: `level` of each group, `coefficient` of each column, the shared ones."""
+
+    level: Int[np.ndarray, "n k"]
+    coefficient: Float[np.ndarray, "n columns"]
+    spike: Float[np.ndarray, " n"]
+    missing: Float[np.ndarray, " n"]
+
+    @property
+    def included(self) -> Bool[np.ndarray, "n k"]:
+        """Whether each group is away from its first level."""
+        return self.level > 0
+
+
+def sample(
+    H: Float[np.ndarray, "n n"],
+    b: Float[np.ndarray, " n"],
+    groups: Groups,
+    shared: Shared,
+    chain: Chain,
+    rng: np.random.Generator,
+) -> Sampled:
+    """Draws from the posterior over states and coefficients; chains start with every group in and with none, in turn."""
+    found = []
+    for k in range(chain.chains):
+        begin = np.full(len(groups.stop), k % 2, dtype=np.int64)
+        found.append(
+            _run(
+                H, b, groups.start, groups.stop, groups.precision, groups.amplitude, groups.share, groups.rate,
+                groups.named, groups.sign, np.array(shared.spikes), np.array(shared.missing),
+                np.array(shared.discrepant), begin, chain.sweeps, chain.forgotten, chain.every,
+                int(rng.integers(2**31)),
+            )
+        )  # fmt: skip
+    return Sampled(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+@njit(cache=True)
+def _log_upper(x: float) -> float:
+    """log of twice the standard normal's mass below x."""
+    if x < -30.0:
+        return -0.5 * x * x - math.log(-x) - 0.225791
+    return math.log(max(math.erfc(-x / math.sqrt(2.0)), 1e-300))
+
+
+@njit(cache=True)
+def _chosen(log_weight: np.ndarray) -> int:
+    """One of several, with probability in proportion to its weight."""
+    weight = np.exp(log_weight - log_weight.max())
+    left = np.random.random() * weight.sum()
+    for k in range(len(weight)):
+        left -= weight[k]
+        if left <= 0.0:
+            return k
+    return len(weight) - 1
+
+
+@njit(cache=True)
+def _factorised(H, b, precision):
+    """S = (H + L)^-1, m = S b, and the log evidence."""
+    A = H + np.diag(precision)
+    L = np.linalg.cholesky(A)
+    S = np.linalg.inv(A)
+    S = 0.5 * (S + S.T)
+    m = S @ b
+    return S, m, 0.5 * (b @ m) - np.log(np.diag(L)).sum() + 0.5 * np.log(precision).sum()
+
+
+@njit(cache=True)
+def _upper(m, S, sign, slab):
+    """Log mass of one-sided coefficients in slabs on their side of zero."""
+    total = 0.0
+    for j in range(len(m)):
+        if sign[j] != 0 and slab[j]:
+            total += _log_upper(sign[j] * m[j] / math.sqrt(S[j, j]))
+    return total
+
+
+@njit(cache=True)
+def _log_prior(level, share, rate, named, missing, discrepant):
+    """Log prior of all groups' levels, given the factors on the odds."""
+    total = 0.0
+    for g in range(len(level)):
+        odds = rate[g] / (1.0 - rate[g]) * (missing if named[g] else discrepant)
+        total -= math.log1p(odds)
+        if level[g] > 0:
+            total += math.log(odds) + math.log(share[g, level[g]])
+    return total
+
+
+@njit(cache=True)
+def _level_evidence(g, first, last, level, precision, S, m, amplitude, spike, named, sign, slab):
+    """Of each level of a group the change of log evidence, mass of one-sided coefficients included."""
+    q, n = last - first, len(m)
+    e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
+    u = V.T @ m[first:last]
+    W = S[:, first:last] @ V
+    found = np.full(amplitude.shape[1], -np.inf)
+    for k in range(amplitude.shape[1]):
+        sd = amplitude[g, k] * (spike if named[g] and k == 0 else 1.0)
+        if sd <= 0.0:
+            continue
+        to = 1.0 / sd**2
+        d = to - precision[first]
+        found[k] = 0.5 * q * math.log(to / precision[first])
+        c = np.empty(q)
+        for i in range(q):
+            grown = 1.0 + d * max(e[i], 0.0)
+            c[i] = d / grown
+            found[k] += -0.5 * math.log(grown) - 0.5 * c[i] * u[i] ** 2
+        for j in range(n):
+            inside = first <= j < last
+            if sign[j] == 0 or not (k > 0 if inside else slab[j]):
+                continue
+            mean, variance = m[j], S[j, j]
+            for i in range(q):
+                mean -= c[i] * W[j, i] * u[i]
+                variance -= c[i] * W[j, i] ** 2
+            found[k] += _log_upper(sign[j] * mean / math.sqrt(max(variance, 1e-300)))
+    return found
+
+
+@njit(cache=True)
+def _set_level(first, last, to, precision, S, m):
+    """Give a group another precision; S, m and `precision` change in place."""
+    d = to - precision[first]
+    if d == 0.0:
+        return
+    e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
+    W = S[:, first:last] @ V
+    c = d / (1.0 + d * np.maximum(e, 0.0))
+    m -= W @ (c * (V.T @ m[first:last].copy()))
+    S -= (W * c) @ W.T
+    precision[first:last] = to
+
+
+@njit(cache=True)
+def _drawn(H, precision, S, m, sign, slab):
+    """Coefficients from their normal, those on the wrong side of zero drawn again one after another, as Gibbs does."""
+    n = len(m)
+    L = np.linalg.cholesky(S + 1e-14 * np.trace(S) / n * np.eye(n))
+    x = m + L @ np.random.standard_normal(n)
+    held = [j for j in range(n) if sign[j] != 0 and slab[j]]
+    for j in held:
+        if sign[j] * x[j] < 0.0:
+            x[j] = 0.0
+    for _ in range(4 if len(held) else 0):
+        off = H @ (x - m) + precision * (x - m)
+        for j in held:
+            a = H[j, j] + precision[j]
+            mean = x[j] - off[j] / a
+            to = sign[j] * _above_zero(sign[j] * mean, 1.0 / math.sqrt(a))
+            off += (to - x[j]) * H[:, j]
+            off[j] += (to - x[j]) * precision[j]
+            x[j] = to
+    return x
+
+
+@njit(cache=True)
+def _above_zero(mean, std):
+    """A normal draw given that it is positive (Robert 1995)."""
+    low = -mean / std
+    if low < 1.0:
+        while True:
+            z = np.random.standard_normal()
+            if z > low:
+                return mean + std * z
+    rate = 0.5 * (low + math.sqrt(low * low + 4.0))
+    while True:
+        z = low + np.random.exponential(1.0 / rate)
+        if np.random.random() < math.exp(-0.5 * (z - rate) ** 2):
+            return mean + std * z
+
+
+@njit(cache=True)
+def _run(
+    H, b, start, stop, fixed, amplitude, share, rate, named, sign, spikes, missings, discrepants, begin, sweeps,
+    forgotten, every, seed,
+):  # fmt: skip
+    """One chain; levels, coefficients and shared values of every so many sweeps."""
+    np.random.seed(seed)
+    n, k = len(b), len(stop)
+    level, slab = begin.copy(), np.zeros(n, np.bool_)
+    spike, missing, discrepant = spikes[1], missings[-1], discrepants[-1]
+    first = np.empty(k, np.int64)
+    precision = np.empty(n)
+    precision[:start] = fixed
+    for g in range(k):
+        first[g] = start if g == 0 else stop[g - 1]
+        precision[first[g] : stop[g]] = (amplitude[g, level[g]] * (spike if named[g] and level[g] == 0 else 1.0)) ** -2
+        slab[first[g] : stop[g]] = level[g] > 0
+    S, m, evidence = _factorised(H, b, precision)
+    kept = (sweeps - forgotten) // every
+    levels, values = np.zeros((kept, k), np.int64), np.zeros((kept, n))
+    spiked, lacked = np.zeros(kept), np.zeros(kept)
+    row = 0
+    for sweep in range(sweeps):
+        for _ in range(k):
+            g = np.random.randint(k)
+            weight = _level_evidence(
+                g, first[g], stop[g], level[g], precision, S, m, amplitude, spike, named, sign, slab
+            )
+            odds = rate[g] / (1.0 - rate[g]) * (missing if named[g] else discrepant)
+            for one in range(1, len(weight)):
+                weight[one] += math.log(odds * share[g, one]) if share[g, one] > 0.0 else -np.inf
+            to = _chosen(weight)
+            if to != level[g]:
+                sd = amplitude[g, to] * (spike if named[g] and to == 0 else 1.0)
+                _set_level(first[g], stop[g], sd**-2, precision, S, m)
+                level[g] = to
+                slab[first[g] : stop[g]] = to > 0
+        for _ in range(SWAPS):
+            _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike)
+        if sweep % REFRESHED == 0:
+            best = np.empty(len(spikes))
+            for one in range(len(spikes)):
+                tried = precision.copy()
+                for g in range(k):
+                    if named[g] and level[g] == 0:
+                        tried[first[g] : stop[g]] = (amplitude[g, 0] * spikes[one]) ** -2
+                T, at, found = _factorised(H, b, tried)
+                best[one] = found + _upper(at, T, sign, slab)
+            spike = spikes[_chosen(best)]
+            for g in range(k):
+                if named[g] and level[g] == 0:
+                    precision[first[g] : stop[g]] = (amplitude[g, 0] * spike) ** -2
+            S, m, evidence = _factorised(H, b, precision)
+        tried = np.array([_log_prior(level, share, rate, named, one, discrepant) for one in missings])
+        missing = missings[_chosen(tried)]
+        tried = np.array([_log_prior(level, share, rate, named, missing, one) for one in discrepants])
+        discrepant = discrepants[_chosen(tried)]
+        if sweep >= forgotten and (sweep - forgotten) % every == 0 and row < kept:
+            levels[row], values[row] = level, _drawn(H, precision, S, m, sign, slab)
+            spiked[row], lacked[row] = spike, missing
+            row += 1
+    return levels, values, spiked, lacked
+
+
+@njit(cache=True)
+def _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike):
+    """Exchange one group that is in for another that is out, if Metropolis and Hastings accept it."""
+    k = len(stop)
+    g, h = np.random.randint(k), np.random.randint(k)
+    if not (named[g] and named[h]) or level[g] == 0 or level[h] > 0 or stop[g] - first[g] != stop[h] - first[h]:
+        return
+    if share[h, level[g]] <= 0.0:
+        return
+    before = level[g]
+    old_g, old_h = precision[first[g]], precision[first[h]]
+    gained = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, spike, named, sign, slab)
+    ratio = gained[0] - gained[before]
+    _set_level(first[g], stop[g], (amplitude[g, 0] * spike) ** -2, precision, S, m)
+    slab[first[g] : stop[g]] = False
+    gained = _level_evidence(h, first[h], stop[h], level[h], precision, S, m, amplitude, spike, named, sign, slab)
+    ratio += gained[before] - gained[0]
+    ratio += math.log(rate[h] / (1.0 - rate[h]) * share[h, before])
+    ratio -= math.log(rate[g] / (1.0 - rate[g]) * share[g, before])
+    if math.log(np.random.random()) < ratio:
+        _set_level(first[h], stop[h], amplitude[h, before] ** -2, precision, S, m)
+        slab[first[h] : stop[h]] = True
+        level[g], level[h] = 0, before
+        return
+    _set_level(first[g], stop[g], old_g, precision, S, m)
+    slab[first[g] : stop[g]] = True
