@@ -3,7 +3,7 @@
 python scripts/prove.py cases=400 workers=2
 """
 
-from _entry import CONF, launch  # first: it sets the number of threads
+from _entry import launch  # first: it sets the number of threads
 
 import sys
 from pathlib import Path
@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 
 from vehicle_sbi.errors import InputError
 
-ROOT = CONF.parent
+ROOT = Path(__file__).resolve().parent.parent
 
 
 @launch("prove")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from studies import constant_noise, simulator
 
-from vehicle_sbi.data.recording import Windows
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.directions import responses
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.fit import Fit, Observation

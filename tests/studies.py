@@ -8,7 +8,7 @@ from cars import PAPER
 
 from vehicle_sbi.data.manoeuvre import Manoeuvre
 from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise, Mixture, ProcessNoise
-from vehicle_sbi.data.recording import Windows
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.physics.effects import nominal_record

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from recorded import fitted, lateral, recorded
 
-from vehicle_sbi.data.recording import joined
+from vehicle_sbi.data.windows import joined
 from vehicle_sbi.inference.directions import directions
 from vehicle_sbi.mismatch.agreement import disagreeing, p_same
 from vehicle_sbi.mismatch.examine import Model, glance, versions

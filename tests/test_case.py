@@ -10,9 +10,10 @@ import pytest
 from cars import PAPER
 from recorded import lateral, recorded
 
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise
 from vehicle_sbi.data.readers import RecordingFile
-from vehicle_sbi.data.recording import CHANNELS, Recording, joined, unheld
+from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.directions import longest
 from vehicle_sbi.mismatch.belief import Belief
@@ -64,12 +65,6 @@ def test_without_held_out_recordings_blocks_of_time_are_held_out(tmp_path: Path)
     assert np.abs(np.subtract.outer(*times)).min() > 1.0 - 0.01
 
 
-def test_recordings_of_different_rates_are_refused(tmp_path: Path) -> None:
-    a, b = lateral().windows, replace(lateral().windows, rate=100.0)
-    with pytest.raises(InputError, match=r"recordings one and two differ in their rate: 50\.0 and 100\.0"):
-        joined([a, b], ["one", "two"])
-
-
 def test_a_recording_is_not_both_fitted_and_held_out(tmp_path: Path) -> None:
     a = written(tmp_path / "a.csv", 0)
     with pytest.raises(InputError, match="is also fitted"):
@@ -80,43 +75,6 @@ def test_a_box_that_excludes_the_null_is_refused_where_existence_is_asked(tmp_pa
     prior = PRIOR | {"steering_ratio": {"gain": [1.1, 1.3]}}
     with pytest.raises(InputError, match=r"steering_ratio.gain = \[1.1, 1.3\] excludes 1, where the effect vanishes"):
         diagnosis([written(tmp_path / "a.csv", 0)], prior=prior).prepare()
-
-
-def test_of_a_long_recording_the_liveliest_stretches_are_kept() -> None:
-    # Ten minutes; the fourth is steered, the eighth is braked, and in the sixth steering is not known.
-    t = np.arange(6000) / 10.0
-    minute = (t // 60.0).astype(int)
-    channels = {
-        "steering": np.where(minute == 3, 0.1 * np.sin(t), 0.0) + np.where(minute == 5, np.nan, 0.0),
-        "v_x": 20.0 - np.where(minute == 7, np.minimum(t - 420.0, 5.0), 0.0),
-        "a_y": np.cos(t),
-    }
-    valid = {name: np.isfinite(values) for name, values in channels.items()}
-    whole = Recording(name="x", rate=10.0, t=t, channels=channels, valid=valid, groups={}, source="x", sha256="")
-    kept = whole.liveliest(0.2)
-    assert set(minute[kept.valid["a_y"]]) == {3, 7}
-    assert kept.present_s == 120.0
-    assert kept.notes[-1] == "20% of the time used: where steering and speed change most"
-    assert whole.liveliest(1.0) is whole
-
-
-@pytest.mark.parametrize("hold", [2, 5])
-def test_a_held_line_becomes_a_line_again(hold: int) -> None:
-    line = np.arange(200.0)
-    held = line[np.arange(200) // hold * hold]
-    last = 199 // hold * hold
-    np.testing.assert_allclose(unheld(held)[: last + 1], line[: last + 1])
-
-
-def test_a_rest_between_moves_stays_a_rest() -> None:
-    values = np.concatenate([np.repeat(np.arange(20.0), 3), np.full(30, 19.0), np.repeat(np.arange(20.0, 40.0), 3)])
-    smooth = unheld(values)
-    np.testing.assert_allclose(smooth[60:86], 19.0)
-
-
-def test_a_signal_that_is_not_held_stays_as_it_is() -> None:
-    wave = np.sin(np.arange(200) / 7.0)
-    np.testing.assert_array_equal(unheld(wave), wave)
 
 
 def test_half_of_what_is_held_out_helps_to_name_and_the_other_half_proves(tmp_path: Path) -> None:
@@ -245,18 +203,6 @@ def test_a_long_recording_leaves_short_ones_whole() -> None:
     assert _shares(part(20.0, 30.0)) == [1.0, 1.0]
     assert _shares(part(3600.0, 60.0)) == pytest.approx([540.0 / 3600.0, 1.0])
     assert _shares(part(3600.0, 1800.0)) == pytest.approx([300.0 / 3600.0, 300.0 / 1800.0])
-
-
-def test_of_a_recording_with_the_wheels_alone_the_liveliest_stretches_are_kept_too() -> None:
-    t = np.arange(6000) / 10.0
-    minute = (t // 60.0).astype(int)
-    channels = {
-        "steering_wheel": np.where(minute == 3, np.sin(t), 0.0),
-        "wheel_speed_rear": np.where(minute == 7, t, 60.0),
-    }
-    valid = {name: np.isfinite(values) for name, values in channels.items()}
-    whole = Recording(name="x", rate=10.0, t=t, channels=channels, valid=valid, groups={}, source="x", sha256="")
-    assert set(minute[whole.liveliest(0.2).valid["steering_wheel"]]) == {3, 7}
 
 
 def test_held_out_recordings_are_sampled_like_the_others(tmp_path: Path) -> None:

@@ -14,10 +14,10 @@ import yaml
 ROOT = Path(__file__).resolve().parent.parent
 
 SCRIPT = """
-import _entry
+import _entry.configuration
 from pathlib import Path
 
-_entry.CONF = Path(__file__).parent / "conf"
+_entry.configuration.CONF = Path(__file__).parent / "conf"
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from cars import PAPER
 
+from vehicle_sbi.data.channels import CHANNELS, NEEDED
 from vehicle_sbi.data.noise import ConstantNoise, ProcessNoise
-from vehicle_sbi.data.recording import CHANNELS, NEEDED, Windows
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.prior import parameter_space, unused
 from vehicle_sbi.inference.setup import Setup
 from vehicle_sbi.inference.simulator import Simulator

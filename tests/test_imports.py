@@ -11,7 +11,8 @@ ORDER = """
 errors files parameters rng rounding
 physics.compiled physics.vehicle physics.size physics.tyre physics.effects physics.sensors physics.balance
 physics.single_track physics.full_vehicle physics.simulation
-data.recording data.plausibility data.formats data.readers data.manoeuvre data.noise
+data.channels data.recording data.masks data.smoothing data.windows data.cutting
+data.plausibility data.formats data.readers data.manoeuvre data.noise
 inference.prior inference.simulator inference.information inference.setup inference.embedding inference.emulator
 inference.features inference.estimator inference.training inference.proposal inference.rounds inference.predictive
 inference.study inference.calibration inference.directions inference.effect_prior

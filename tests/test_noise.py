@@ -21,7 +21,7 @@ from vehicle_sbi.data.noise import (
     rounding,
     sensor_noise,
 )
-from vehicle_sbi.data.recording import Windows
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.rng import Stream, generator
 

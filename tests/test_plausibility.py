@@ -10,9 +10,10 @@ import pandas as pd
 import pytest
 from conftest import ROOT
 
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.plausibility import LIMITS, absurd, findings
 from vehicle_sbi.data.readers import read
-from vehicle_sbi.data.recording import CHANNELS, Recording
+from vehicle_sbi.data.recording import Recording
 
 RATE, RATIO = 50.0, 16.0
 RECORDINGS = Path(os.environ.get("VEHICLE_SBI_RECORDINGS", ROOT.parent / "shared/recordings"))

@@ -9,8 +9,9 @@ import pytest
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from vehicle_sbi.data.channels import CHANNELS
+from vehicle_sbi.data.cutting import cut
 from vehicle_sbi.data.readers import UNITS, ChannelSource, RecordingFile, factor, flag_spikes, read
-from vehicle_sbi.data.recording import CHANNELS
 from vehicle_sbi.errors import InputError
 
 ROOT = Path(__file__).parent.parent
@@ -268,9 +269,10 @@ def test_configured_recordings_load_and_turn_left_when_steered_left(name):
     file = instantiate(config)
     rec = file.load()
     assert (len(rec.t), rec.rate) == CONFIGURED[name]
-    windows = rec.windows(
-        drive=file.drive, channels=file.channels, length_s=5.0, steering_ratio=16.0, v_min=file.v_min, start_s=rec.t[0]
-    )
+    windows = cut(
+        rec, drive=file.drive, channels=file.channels, length_s=5.0,
+        steering_ratio=16.0, v_min=file.v_min, start_s=rec.t[0],
+    )  # fmt: skip
     steering, v_x = windows.u[..., 0].ravel(), windows.u[..., 3].ravel()
     yaw_rate = windows.y[windows.channels.index("yaw_rate")]
     good = np.isfinite(yaw_rate)

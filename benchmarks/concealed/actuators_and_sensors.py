@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.physics.vehicle import GRAVITY
 
 Parameters = Mapping[str, float]

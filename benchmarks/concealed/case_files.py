@@ -11,7 +11,7 @@ import pandas as pd
 import yaml
 
 from concealed.strength import WARMUP_S, WINDOW_S, Given
-from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.files import write_atomically, write_text
 
 

@@ -20,9 +20,10 @@ from concealed.cases import DETECTABLE
 from concealed.concealment import CLOSE, SHORT, settle
 from concealed.mix import SNRS, Slot
 from concealed.strength import Given, Projection, fit, residual, snr
+from vehicle_sbi.data.channels import CHANNELS, NEEDED
 from vehicle_sbi.data.noise import EstimatedNoise, from_residual
 from vehicle_sbi.data.readers import RecordingFile
-from vehicle_sbi.data.recording import CHANNELS, NEEDED, Recording
+from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 from vehicle_sbi.physics.vehicle import read as read_vehicle

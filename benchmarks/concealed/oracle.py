@@ -15,7 +15,7 @@ import numpy as np
 from concealed.baselines import given
 from concealed.strength import Noise
 from vehicle_sbi.data.readers import read
-from vehicle_sbi.data.recording import joined
+from vehicle_sbi.data.windows import joined
 from vehicle_sbi.files import write_text
 from vehicle_sbi.mismatch.case import halves
 from vehicle_sbi.mismatch.examine import Model

@@ -11,7 +11,8 @@ from concealed.multibody_car import OFFERED, SETS, MultiBody, vehicle_of
 from concealed.strength import Given, Noise
 from concealed.twin import Twin
 from concealed.worlds import OwnModel, Series, World
-from vehicle_sbi.data.recording import NEEDED, Recording
+from vehicle_sbi.data.channels import NEEDED
+from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.physics.vehicle import Vehicle
 

@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vehicle_sbi.data.cutting import cut
 from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise, Mixture
-from vehicle_sbi.data.recording import Recording, Windows
+from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.inference.simulator import Simulator
@@ -66,7 +68,8 @@ class Given:
         )
 
     def windows(self, recording: Recording) -> Windows:
-        return recording.windows(
+        return cut(
+            recording,
             drive=self.drive,
             channels=self.channels,
             length_s=WINDOW_S,

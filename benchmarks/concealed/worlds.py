@@ -10,8 +10,9 @@ from typing import Protocol
 import numpy as np
 
 from concealed.drives import Plan
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise, Mixture
-from vehicle_sbi.data.recording import CHANNELS, Windows
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import nominal_record

@@ -14,7 +14,8 @@ from concealed.concealment import CLOSE, settle
 from concealed.injected import INJECTED, SOURCES, Source, Stretch, available, inject, stretch
 from whole_car.cases import alike_to
 
-from vehicle_sbi.data.recording import CHANNELS, Recording
+from vehicle_sbi.data.channels import CHANNELS
+from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_text
 

@@ -10,7 +10,7 @@ from concealed.strength import Given, Noise
 from concealed.twin import Twin
 from concealed.worlds import World
 
-from vehicle_sbi.data.recording import NEEDED
+from vehicle_sbi.data.channels import NEEDED
 from vehicle_sbi.physics.vehicle import GRAVITY, Vehicle
 from whole_car import missing
 

@@ -16,7 +16,7 @@ from concealed.baselines import given
 
 from vehicle_sbi.data.noise import EstimatedNoise
 from vehicle_sbi.data.readers import read
-from vehicle_sbi.data.recording import joined
+from vehicle_sbi.data.windows import joined
 from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.case import halves

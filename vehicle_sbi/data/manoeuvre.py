@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.data.recording import CHANNELS, Windows
+from vehicle_sbi.data.channels import CHANNELS
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 from vehicle_sbi.physics.single_track import INPUTS

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.signal import lfilter, savgol_coeffs, savgol_filter
 
-from vehicle_sbi.data.recording import Windows
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError, unknown
 
 TINY = 1e-9  # [channel's unit], so that a channel that is fitted perfectly can still be divided by its noise

@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
 
-from vehicle_sbi.data.recording import CHANNELS, Recording
+from vehicle_sbi.data.channels import CHANNELS
+from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.physics.vehicle import GRAVITY
 
 LIMITS: Mapping[str, float] = {

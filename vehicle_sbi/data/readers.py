@@ -15,9 +15,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter
 
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.formats import Table, read_table
 from vehicle_sbi.data.plausibility import LIMITS, absurd, findings, spoken_runs
-from vehicle_sbi.data.recording import CHANNELS, Recording
+from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.files import sha256
 
@@ -104,7 +105,7 @@ class RecordingFile:
     [time_unit], whose values stay the recording's time (a VBO's starts at 0); `rate` [Hz] resamples (None: the file's
     own); `start_s` and `stop_s` cut; `also` are further files of the same drive in the same time base (path, mapping
     and time of theirs count), cut to the stretch that all of them cover. `drive`, `channels` and `v_min` [m/s] are
-    defaults for `Recording.windows`.
+    defaults for `cutting.cut`.
     Mappings of settings stand for `ChannelSource` and `RecordingFile`, as a configuration file holds them.
     """
 

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.noise import EstimatedNoise
-from vehicle_sbi.data.recording import CHANNELS
 from vehicle_sbi.inference.simulator import Simulator, succeeded
 from vehicle_sbi.rng import Stream
 

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from vehicle_sbi.data.cutting import cut
 from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise, MeasurementNoise, ProportionalNoise, from_residual
 from vehicle_sbi.data.readers import RecordingFile
-from vehicle_sbi.data.recording import Recording, Windows
+from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.inference.information import best_fit
 from vehicle_sbi.inference.prior import parameter_space, typical
@@ -64,7 +66,8 @@ class Setup:
 
     def windows(self, recording: Recording, source: RecordingFile) -> Windows:
         """The recording cut into windows, with the settings of the file it comes from."""
-        return recording.windows(
+        return cut(
+            recording,
             drive=self.drive,
             channels=source.channels,
             length_s=self.window_s,

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numba.core import config
 
 from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise
-from vehicle_sbi.data.recording import Windows
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS

@@ -9,7 +9,8 @@ from jaxtyping import Float
 from vehicle_sbi.data.manoeuvre import Synthetic
 from vehicle_sbi.data.noise import EstimatedNoise
 from vehicle_sbi.data.readers import RecordingFile
-from vehicle_sbi.data.recording import Recording, joined
+from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.data.windows import joined
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import DensityEstimator
 from vehicle_sbi.inference.features import Features

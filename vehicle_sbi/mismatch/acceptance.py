@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.improve import CONFIDENT, Gain, Prediction
 from vehicle_sbi.mismatch.separability import SEEN

@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vehicle_sbi.data.masks import holdout, liveliest
 from vehicle_sbi.data.noise import FEWEST, DrawnProcessNoise, EstimatedNoise, Mixture
 from vehicle_sbi.data.readers import RecordingFile
-from vehicle_sbi.data.recording import Recording, Windows, check_alike, joined, one_after_another
+from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.data.windows import Windows, check_alike, joined, one_after_another
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.setup import Setup
 from vehicle_sbi.mismatch.belief import Belief
@@ -134,7 +136,7 @@ class Diagnosis(Setup):
         """Recordings with blocks of their time held out, and those blocks."""
         block_s = max(BLOCK_S, self.window_s)
         parts = [
-            (file, recording.holdout(share=HELD_OUT, block_s=block_s, buffer_s=BUFFER_S))
+            (file, holdout(recording, share=HELD_OUT, block_s=block_s, buffer_s=BUFFER_S))
             for file, recording in training
         ]
         return [(file, kept) for file, (kept, _) in parts], [(file, out) for file, (_, out) in parts]
@@ -161,7 +163,7 @@ class Diagnosis(Setup):
         names = Counter(recording.name for _, recording in (*training, *held))
         kept = [
             [
-                (file, _called(recording.liveliest(share), alone=names[recording.name] == 1))
+                (file, _called(liveliest(recording, share), alone=names[recording.name] == 1))
                 for (file, recording), share in zip(part, _shares(part), strict=True)
             ]
             for part in (training, held)

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
+from vehicle_sbi.data.channels import CHANNELS, NEEDED
 from vehicle_sbi.data.noise import MeasurementNoise
-from vehicle_sbi.data.recording import CHANNELS, NEEDED
 from vehicle_sbi.inference.directions import null
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.examine import Model

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.sensors import MEASUREMENTS

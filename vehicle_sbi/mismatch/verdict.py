@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, truncnorm
 
-from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.inference.directions import SPAN
 from vehicle_sbi.mismatch.acceptance import judged
 from vehicle_sbi.mismatch.agreement import disagreeing

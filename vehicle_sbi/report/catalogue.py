@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.manoeuvre import Manoeuvre
 from vehicle_sbi.data.noise import ConstantNoise, ProcessNoise
-from vehicle_sbi.data.recording import CHANNELS
 from vehicle_sbi.files import write_atomically, write_text
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import Parameter, ParameterSpace

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.mismatch.answer import Verdict
 from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Observation

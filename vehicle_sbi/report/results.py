@@ -8,7 +8,7 @@ import pandas as pd
 import torch
 from jaxtyping import Float
 
-from vehicle_sbi.data.recording import CHANNELS
+from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.files import write_atomically
 from vehicle_sbi.inference.information import bound_std, confusable, fisher
 from vehicle_sbi.inference.predictive import Predictive, predictive

@@ -1,0 +1,29 @@
+"""The door of every script: Hydra's configuration in, one-line errors out, and a run folder named after what was asked.
+
+Import it before anything else: numpy and torch read the number of their threads when they are imported. One is set here
+unless the user has set another, since the cores belong to numba's simulations and small networks gain nothing.
+
+    from _entry import launch
+
+    @launch("config")
+    def main(cfg: DictConfig) -> None: ...
+
+    if __name__ == "__main__":
+        main()
+
+A wrong value prints one line `error: …` and exits with status 2; HYDRA_FULL_ERROR=1 shows the traceback instead. In a
+sweep every failing job prints its line, the others run on, and the status is 2. Anything else is a bug and keeps its
+traceback.
+"""
+
+from _entry.launching import launch
+from _entry.recordings import named_recordings, warn
+from _entry.run_folders import LONGEST_NAME, run_folder, study_name
+
+import os
+
+__all__ = ["LONGEST_NAME", "launch", "named_recordings", "run_folder", "study_name", "warn"]
+
+# What is imported above imports neither numpy nor torch; tests/test_entry.py holds it to that.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")

@@ -1,0 +1,10 @@
+"""The project's configuration: the folder of its files, whose folders are Hydra's groups."""
+
+from pathlib import Path
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+
+
+def groups() -> set[str]:
+    """Names of the groups that a user may choose an option of."""
+    return {folder.name for folder in CONF.iterdir() if folder.is_dir() and folder.name != "hydra"}

@@ -1,0 +1,53 @@
+"""A signal as the car made it: without the noise of its sensor, and without the steps of a slow update."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import savgol_filter
+
+from vehicle_sbi.errors import InputError
+
+SMOOTHING_S = 0.25
+"""Length [s] of the Savitzky-Golay filter (order 2) behind v_x_dot, the initial states and the smoothed v_x."""
+
+MOST_HELD = 20
+"""Samples for which a held signal usually stays, at most: one that stays for longer is at rest."""
+
+
+def smoothed(
+    values: Float[np.ndarray, " time"], rate: float, where: str, derivative: int = 0
+) -> Float[np.ndarray, " time"]:
+    """Savitzky-Golay smoothing (order 2, `SMOOTHING_S` and at least 5 samples) of `values`, or their derivative.
+
+    Absent samples are bridged linearly. Exact for parabolas. Raises InputError for fewer samples than the filter has.
+    (Savitzky and Golay, Analytical Chemistry 36, 1964.)
+    """
+    length = max(5, 2 * round(0.5 * SMOOTHING_S * rate) + 1)
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) == 0 or len(values) < length:
+        raise InputError(f"{where}: {len(known)} samples at {rate:g} Hz are too few; at least {length} are needed")
+    bridged = np.interp(np.arange(len(values)), known, values[known])
+    return np.asarray(savgol_filter(bridged, length, 2, deriv=derivative, delta=1.0 / rate))
+
+
+def unheld(values: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
+    """A signal that is updated more slowly than it is sampled, linear between its updates instead of in steps.
+
+    Steps that the car did not make would excite the model. A signal counts as held if it usually stays for two samples
+    or more while it moves; where it rests for longer than that it stays at rest until the last usual step. Absent
+    samples remain absent, and any other signal as it is.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < 3:
+        return values
+    x = values[known]
+    updates = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1])
+    if len(updates) < MOST_HELD:
+        return values
+    usual = int(np.median(np.diff(updates)))
+    if not 2 <= usual <= MOST_HELD:
+        return values
+    rests = updates[1:][np.diff(updates) > 2 * usual] - usual  # until when a long rest lasts
+    knots = np.union1d(np.union1d(updates, rests), [len(x) - 1])
+    smooth = values.copy()
+    smooth[known] = np.interp(np.arange(len(x)), knots, x[knots])
+    return smooth

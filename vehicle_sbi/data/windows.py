@@ -1,0 +1,97 @@
+"""Windows: stretches of equal length that a simulator is run on, each from its own initial state.
+
+Windows of several recordings are put together as those of one, on one clock, where the recordings are alike.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from vehicle_sbi.data.channels import DRIVEN_BY
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.physics.single_track import INPUTS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """Stretches of a recording of equal length, each simulated from its own initial state.
+
+    u: inputs in the order of `INPUTS`, held over the padded end of a last window; x0: v_x [m/s], v_y [m/s] and
+    yaw rate [rad/s] at each start, x0_std their standard deviations; y: measurements, window after window (NaN where
+    there is none); valid: what is to be fitted; t: recording time [s]; groups: the sensors of each channel, speed_group
+    those of the speeds that drive the model; recordings: which one each window is of.
+    """
+
+    rate: float
+    u: Float[np.ndarray, "windows time 9"]
+    y: Float[np.ndarray, "channels windows*time"]
+    valid: Bool[np.ndarray, "channels windows*time"]
+    x0: Float[np.ndarray, "windows 3"]
+    x0_std: Float[np.ndarray, " 3"]
+    channels: tuple[str, ...]
+    groups: tuple[str, ...]
+    t: Float[np.ndarray, "windows time"]
+    notes: tuple[str, ...] = ()
+    speed_group: str = "can"
+    recordings: tuple[str, ...] = ()
+
+    def sensed(self, drive: str) -> dict[str, str]:
+        """The group of sensors of each channel that is recorded, and of the speeds that drive the model."""
+        driving = dict.fromkeys(DRIVEN_BY[drive], self.speed_group)
+        return driving | dict(zip(self.channels, self.groups, strict=True))
+
+
+def one_after_another(recordings: Sequence[Sequence[Windows]]) -> list[float]:
+    """What to add to the time of each recording [s], so that one clock runs through what is used of all, from 0 on.
+
+    Of each recording all that is used of it: the windows that are fitted, those that are held out.
+    """
+    shifts, elapsed = list[float](), 0.0
+    for parts in recordings:
+        times = [part.u[..., INPUTS.index("time")] for part in parts]
+        shifts.append(elapsed - min(float(time.min()) for time in times))
+        elapsed = shifts[-1] + max(float(time.max()) for time in times) + 1.0 / parts[0].rate
+    return shifts
+
+
+def check_alike(parts: Sequence[Windows], names: Sequence[str]) -> None:
+    """InputError for recordings of different rates, channels or sensor groups; `names` are what it calls them."""
+    first = parts[0]
+    for part, name in zip(parts, names, strict=True):
+        for what in ("rate", "channels", "groups", "speed_group"):
+            if getattr(part, what) != getattr(first, what):
+                raise InputError(
+                    f"recordings {names[0]} and {name} differ in their {what}: {getattr(first, what)} and "
+                    f"{getattr(part, what)}; one diagnosis needs the same of all (recording.rate resamples)"
+                )
+
+
+def joined(parts: Sequence[Windows], names: Sequence[str], shifts: Sequence[float] | None = None) -> Windows:
+    """Windows of several recordings as those of one, the time of each shifted, by default one after another.
+
+    The spread of initial states is the largest of each. Raises InputError for recordings that are not alike.
+    """
+    check_alike(parts, names)
+    first = parts[0]
+    shifts = shifts or one_after_another([[part] for part in parts])
+    notes = tuple(f"{name}: {note}" for part, name in zip(parts, names, strict=True) for note in part.notes)
+    return replace(
+        first,
+        u=np.concatenate([_shifted(part.u, shift) for part, shift in zip(parts, shifts, strict=True)]),
+        y=np.concatenate([part.y for part in parts], axis=1),
+        valid=np.concatenate([part.valid for part in parts], axis=1),
+        x0=np.concatenate([part.x0 for part in parts]),
+        x0_std=np.max([part.x0_std for part in parts], axis=0),
+        t=np.concatenate([part.t for part in parts]),
+        recordings=tuple(name for part, name in zip(parts, names, strict=True) for _ in part.t),
+        notes=notes if len(parts) > 1 else first.notes,
+    )
+
+
+def _shifted(u: Float[np.ndarray, "windows time 9"], shift: float) -> Float[np.ndarray, "windows time 9"]:
+    """The inputs with `shift` [s] added to their time."""
+    moved = u.copy()
+    moved[..., INPUTS.index("time")] += shift
+    return moved
