@@ -19,6 +19,8 @@ inference.study inference.calibration inference.directions inference.effect_prio
 mismatch.belief mismatch.cannot_act mismatch.separability mismatch.fit mismatch.search
 mismatch.full_model mismatch.base_fit mismatch.gate mismatch.case
 mismatch.locate mismatch.laws mismatch.linear mismatch.staircase mismatch.stiction mismatch.detect mismatch.onset
+mismatch.estimation.expansion mismatch.hypotheses.discrepancy mismatch.estimation.linear_gaussian
+mismatch.selection.inclusion mismatch.selection.expand_and_prune
 mismatch.loose mismatch.latent mismatch.repertoire mismatch.beyond mismatch.examine mismatch.foretell mismatch.needed
 mismatch.support
 mismatch.agreement mismatch.explanation mismatch.unnamed mismatch.explain mismatch.sampled mismatch.reinfer

@@ -30,7 +30,7 @@ SWAPS = 6  # of two groups' states, tried in a sweep
 
 @dataclass(frozen=True, kw_only=True)
 class Chain:
-    """Sweeps of each of several chains that start apart, how many of them are forgotten, and every how many one is kept."""
+    """Sweeps of each of several chains that start apart, how many are forgotten, and every how many one is kept."""
 
     chains: int = 4
     sweeps: int = 600
@@ -44,9 +44,9 @@ class Groups:
 
     `stop` is where each group's columns end; those before `start` have a fixed `precision` each. `amplitude` (k,
     levels) are the standard deviations of a group's coefficients at each level, the first of them the spike's of a
-    named group or (next to) nothing, `share` their prior probabilities beside the first one's. `rate` is the probability
-    of any level beside the first, `named` says which groups are effects, whose spike and rate follow what is learned of
-    all; `sign` (columns) is 1 for a coefficient that cannot be negative, -1 for one that cannot be positive.
+    named group or (next to) nothing, `share` their prior probabilities beside the first one's. `rate` is the
+    probability of any level beside the first, `named` says which groups are effects, whose spike and rate follow what
+    is learned of all; `sign` (columns) is 1 for a coefficient that cannot be negative, -1 for one that cannot be positive.
     """
 
     start: int
@@ -92,7 +92,7 @@ def sample(
     chain: Chain,
     rng: np.random.Generator,
 ) -> Sampled:
-    """Draws from the posterior over states and coefficients; chains start with every group in and with none, in turn."""
+    """Draws from the posterior over states and coefficients; chains start with all groups in and with none, in turn."""
     found = []
     for k in range(chain.chains):
         begin = np.full(len(groups.stop), k % 2, dtype=np.int64)
@@ -108,11 +108,21 @@ def sample(
 
 
 @njit(cache=True)
-def _log_upper(x: float) -> float:
-    """log of twice the standard normal's mass below x."""
-    if x < -30.0:
-        return -0.5 * x * x - math.log(-x) - 0.225791
-    return math.log(max(math.erfc(-x / math.sqrt(2.0)), 1e-300))
+def _log_slab(mean: float, variance: float, sd: float, sign: int) -> float:
+    """Log of the expected weight x^2 / sd^2 of a coefficient x under its normal, none on the wrong side of zero.
+
+    With it, the normal of a slab is a moment prior (Johnson and Rossell 2010), which has no mass at zero.
+    """
+    square = (mean * mean + variance) / (sd * sd)
+    if sign == 0:
+        return math.log(square)
+    std = math.sqrt(variance)
+    z = sign * mean / std
+    if z < -6.0:  # the tail's expansion, 2 phi(z) (2 / |z|^3) variance
+        return -0.5 * z * z - 0.2257914 + math.log(2.0 * variance / (sd * sd)) - 3.0 * math.log(-z)
+    density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
+    part = square * 0.5 * math.erfc(-z / math.sqrt(2.0)) + z * variance / (sd * sd) * density
+    return math.log(max(2.0 * part, 1e-300))
 
 
 @njit(cache=True)
@@ -139,12 +149,12 @@ def _factorised(H, b, precision):
 
 
 @njit(cache=True)
-def _upper(m, S, sign, slab):
-    """Log mass of one-sided coefficients in slabs on their side of zero."""
+def _slabs(m, S, sign, slab):
+    """Log weights of all coefficients in slabs, `slab` being their standard deviations there and 0 elsewhere."""
     total = 0.0
     for j in range(len(m)):
-        if sign[j] != 0 and slab[j]:
-            total += _log_upper(sign[j] * m[j] / math.sqrt(S[j, j]))
+        if slab[j] > 0.0:
+            total += _log_slab(m[j], S[j, j], slab[j], sign[j])
     return total
 
 
@@ -164,6 +174,7 @@ def _log_prior(level, share, rate, named, missing, discrepant):
 def _level_evidence(g, first, last, level, precision, S, m, amplitude, spike, named, sign, slab):
     """Of each level of a group the change of log evidence, mass of one-sided coefficients included."""
     q, n = last - first, len(m)
+    weighted = named[g] and q == 1
     e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
     u = V.T @ m[first:last]
     W = S[:, first:last] @ V
@@ -182,14 +193,21 @@ def _level_evidence(g, first, last, level, precision, S, m, amplitude, spike, na
             found[k] += -0.5 * math.log(grown) - 0.5 * c[i] * u[i] ** 2
         for j in range(n):
             inside = first <= j < last
-            if sign[j] == 0 or not (k > 0 if inside else slab[j]):
+            width = (sd if k > 0 and weighted else 0.0) if inside else slab[j]
+            if width <= 0.0:
                 continue
             mean, variance = m[j], S[j, j]
             for i in range(q):
                 mean -= c[i] * W[j, i] * u[i]
                 variance -= c[i] * W[j, i] ** 2
-            found[k] += _log_upper(sign[j] * mean / math.sqrt(max(variance, 1e-300)))
+            found[k] += _log_slab(mean, max(variance, 1e-300), width, sign[j])
     return found
+
+
+@njit(cache=True)
+def _width(g, level, first, last, amplitude, named):
+    """Standard deviation of a named coefficient in a slab; 0 in its spike, and of groups of several columns."""
+    return amplitude[g, level] if level > 0 and named[g] and last - first == 1 else 0.0
 
 
 @njit(cache=True)
@@ -212,7 +230,7 @@ def _drawn(H, precision, S, m, sign, slab):
     n = len(m)
     L = np.linalg.cholesky(S + 1e-14 * np.trace(S) / n * np.eye(n))
     x = m + L @ np.random.standard_normal(n)
-    held = [j for j in range(n) if sign[j] != 0 and slab[j]]
+    held = [j for j in range(n) if sign[j] != 0 and slab[j] > 0.0]
     for j in held:
         if sign[j] * x[j] < 0.0:
             x[j] = 0.0
@@ -252,16 +270,16 @@ def _run(
     """One chain; levels, coefficients and shared values of every so many sweeps."""
     np.random.seed(seed)
     n, k = len(b), len(stop)
-    level, slab = begin.copy(), np.zeros(n, np.bool_)
-    spike, missing, discrepant = spikes[1], missings[-1], discrepants[-1]
+    level, slab = begin.copy(), np.zeros(n)
+    spike, missing, discrepant = spikes[len(spikes) // 2], missings[-1], discrepants[-1]
     first = np.empty(k, np.int64)
     precision = np.empty(n)
     precision[:start] = fixed
     for g in range(k):
         first[g] = start if g == 0 else stop[g - 1]
         precision[first[g] : stop[g]] = (amplitude[g, level[g]] * (spike if named[g] and level[g] == 0 else 1.0)) ** -2
-        slab[first[g] : stop[g]] = level[g] > 0
-    S, m, evidence = _factorised(H, b, precision)
+        slab[first[g] : stop[g]] = _width(g, level[g], first[g], stop[g], amplitude, named)
+    S, m, _ = _factorised(H, b, precision)
     kept = (sweeps - forgotten) // every
     levels, values = np.zeros((kept, k), np.int64), np.zeros((kept, n))
     spiked, lacked = np.zeros(kept), np.zeros(kept)
@@ -280,7 +298,7 @@ def _run(
                 sd = amplitude[g, to] * (spike if named[g] and to == 0 else 1.0)
                 _set_level(first[g], stop[g], sd**-2, precision, S, m)
                 level[g] = to
-                slab[first[g] : stop[g]] = to > 0
+                slab[first[g] : stop[g]] = _width(g, to, first[g], stop[g], amplitude, named)
         for _ in range(SWAPS):
             _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike)
         if sweep % REFRESHED == 0:
@@ -291,12 +309,12 @@ def _run(
                     if named[g] and level[g] == 0:
                         tried[first[g] : stop[g]] = (amplitude[g, 0] * spikes[one]) ** -2
                 T, at, found = _factorised(H, b, tried)
-                best[one] = found + _upper(at, T, sign, slab)
+                best[one] = found + _slabs(at, T, sign, slab)
             spike = spikes[_chosen(best)]
             for g in range(k):
                 if named[g] and level[g] == 0:
                     precision[first[g] : stop[g]] = (amplitude[g, 0] * spike) ** -2
-            S, m, evidence = _factorised(H, b, precision)
+            S, m, _ = _factorised(H, b, precision)
         tried = np.array([_log_prior(level, share, rate, named, one, discrepant) for one in missings])
         missing = missings[_chosen(tried)]
         tried = np.array([_log_prior(level, share, rate, named, missing, one) for one in discrepants])
@@ -318,19 +336,19 @@ def _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, si
     if share[h, level[g]] <= 0.0:
         return
     before = level[g]
-    old_g, old_h = precision[first[g]], precision[first[h]]
+    before_g = precision[first[g]]
     gained = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, spike, named, sign, slab)
     ratio = gained[0] - gained[before]
     _set_level(first[g], stop[g], (amplitude[g, 0] * spike) ** -2, precision, S, m)
-    slab[first[g] : stop[g]] = False
+    slab[first[g] : stop[g]] = 0.0
     gained = _level_evidence(h, first[h], stop[h], level[h], precision, S, m, amplitude, spike, named, sign, slab)
     ratio += gained[before] - gained[0]
     ratio += math.log(rate[h] / (1.0 - rate[h]) * share[h, before])
     ratio -= math.log(rate[g] / (1.0 - rate[g]) * share[g, before])
     if math.log(np.random.random()) < ratio:
         _set_level(first[h], stop[h], amplitude[h, before] ** -2, precision, S, m)
-        slab[first[h] : stop[h]] = True
+        slab[first[h] : stop[h]] = _width(h, before, first[h], stop[h], amplitude, named)
         level[g], level[h] = 0, before
         return
-    _set_level(first[g], stop[g], old_g, precision, S, m)
-    slab[first[g] : stop[g]] = True
+    _set_level(first[g], stop[g], before_g, precision, S, m)
+    slab[first[g] : stop[g]] = _width(g, before, first[g], stop[g], amplitude, named)

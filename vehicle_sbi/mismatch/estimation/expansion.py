@@ -1,0 +1,130 @@
+"""The model expanded: the base model's parameters and those of every effect that acts, all free at once.
+
+Effects are shrunk to their nulls by normal priors as wide as cars are said to need (`EffectPrior`). A parameter that
+only gives an effect its shape (a lag, a lever arm) is free beside its size. What is tied to the clock is not in it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from vehicle_sbi.inference.directions import Direction, null
+from vehicle_sbi.inference.effect_prior import EffectPrior
+from vehicle_sbi.inference.setup import slowest
+from vehicle_sbi.mismatch.fit import DAMPING, Fit, Observation, Shrinkage, descend, linearise, with_own_noise
+from vehicle_sbi.parameters import Parameter, ParameterSpace
+from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.physics.simulation import substeps_for
+
+WIDER = 1.5  # typical sizes by which effects are shrunk at first, before anything is known of which are there
+STEPS, NOISE_ROUNDS, NOISE_STEPS = 8, 2, 4  # of Gauss-Newton, of fit and noise, and of Gauss-Newton within those
+STIFFER = 1.4  # times the fitted stiffness, for which steps of the integrator are short enough
+STABLE = 2.0  # step times rate at most
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """What is free in the expanded model: `base`, then `sizes` along which effects leave their nulls, then `shapes`.
+
+    `typical` are the sizes' typical distances from null, `rates` how often cars have them, both in the sizes' order.
+    """
+
+    base: tuple[Parameter, ...]
+    sizes: tuple[Parameter, ...]
+    shapes: tuple[Parameter, ...]
+    typical: Float[np.ndarray, " sizes"]
+    rates: Float[np.ndarray, " sizes"]
+
+    @classmethod
+    def of(cls, space: ParameterSpace, known: Sequence[Direction], prior: EffectPrior) -> "Expansion":
+        """Of the effects that are known to act, but for those tied to the clock."""
+        lasting = [d for d in known if not CATALOGUE[d.effect].timed]
+        sizes = [*dict.fromkeys(d.parameter for d in lasting)]
+        shapes = [*dict.fromkeys(p for d in lasting for p in d.held if p not in sizes)]
+        typical, rates = (np.array([of(p) for p in sizes]) for of in (prior.size_of, prior.rate_of))
+        return cls(space.parameters, tuple(sizes), tuple(shapes), typical, rates)
+
+    @property
+    def space(self) -> ParameterSpace:
+        return ParameterSpace((*self.base, *self.sizes, *self.shapes))
+
+    @property
+    def rest(self) -> Float[np.ndarray, " d"]:
+        """Where the linear model's coefficients are zero: the middle of the base model's boxes, effects at their nulls,
+        shapes in the middle of boxes that begin or end at their nulls and at their nulls in others."""
+        return np.array([*map(_middle, self.base), *map(null, self.sizes), *map(_neutral, self.shapes)])
+
+    @property
+    def unit(self) -> Float[np.ndarray, " d"]:
+        """What a coefficient of 1 is: a standard deviation of the box, of sizes the typical distance from null."""
+        return np.concatenate([_spread(self.base), self.typical, _spread(self.shapes)])
+
+    @property
+    def sign(self) -> np.ndarray:
+        """1 for a size that its box lets only grow from the null, -1 for one that may only fall, else 0."""
+        return np.array([(null(p) <= p.low) * 1 - (null(p) >= p.high) * 1 for p in self.sizes], dtype=np.int64)
+
+    @property
+    def slices(self) -> tuple[slice, slice, slice]:
+        """Where base parameters, sizes and shapes are."""
+        first, second = len(self.base), len(self.base) + len(self.sizes)
+        return slice(0, first), slice(first, second), slice(second, second + len(self.shapes))
+
+    def precision(self, rms: Float[np.ndarray, " sizes"]) -> Float[np.ndarray, " d"]:
+        """Of the shrinkage that holds sizes within `rms` typical ones, in units of the boxes' standard deviations."""
+        held = (rms * self.typical / _spread(self.sizes)) ** -2
+        return np.concatenate([np.full(len(self.base), DAMPING), held, np.ones(len(self.shapes))])
+
+    def observed(self, base: Fit) -> Observation:
+        """What the base model was fitted to, with all of this free, in steps as long as the fit allows."""
+        simulator = base.simulator
+        lighter = replace(simulator, substeps=min(simulator.substeps, _substeps(base)))
+        return base.observation.extended(lighter).freeing(self.space.parameters)
+
+    def fitted(
+        self, observation: Observation, start: Float[np.ndarray, " d"], rms: Float[np.ndarray, " sizes"]
+    ) -> Fit | None:
+        """The likeliest point under shrinkage, noise estimated there; None where the simulation fails."""
+        space = observation.simulator.space
+        start = np.clip(start, space.low, space.high)
+        fit = descend(observation, start, STEPS, Shrinkage(self.rest, self.precision(rms)))
+        return None if fit is None else with_own_noise(fit, NOISE_ROUNDS, NOISE_STEPS)
+
+
+def elsewhere(fit: Fit, observation: Observation) -> Fit | None:
+    """The same model, as it was fitted, in other recordings; None where its simulation fails there."""
+    simulator = replace(
+        observation.simulator,
+        space=fit.simulator.space,
+        noise=replace(fit.simulator.noise, window=observation.simulator.windows.t.shape[1]),
+        substeps=fit.simulator.substeps,
+    )
+    at = linearise(simulator, fit.theta)
+    found = Fit(observation.extended(simulator), fit.theta, at)
+    return found if np.isfinite(at.y[simulator.windows.valid]).all() else None
+
+
+def _substeps(fit: Fit) -> int:
+    """Of the integrator, for stiffnesses a little above those that were fitted."""
+    simulator, space = fit.simulator, fit.simulator.space
+    stiff = np.array([p.name.startswith("C_") for p in space.parameters])
+    theta = np.clip(np.where(stiff, STIFFER, 1.0) * fit.theta, space.low, space.high)
+    records = space.records(theta[None], simulator.nominal)
+    return substeps_for(
+        records, simulator.drive, slowest(simulator), simulator.windows.rate, limit=STABLE, model=simulator.model
+    )
+
+
+def _middle(p: Parameter) -> float:
+    return 0.5 * (p.low + p.high)
+
+
+def _neutral(p: Parameter) -> float:
+    return _middle(p) if null(p) in (p.low, p.high) else null(p)
+
+
+def _spread(parameters: Sequence[Parameter]) -> Float[np.ndarray, " n"]:
+    """Standard deviations of uniform boxes."""
+    return np.array([p.high - p.low for p in parameters]) / np.sqrt(12.0)

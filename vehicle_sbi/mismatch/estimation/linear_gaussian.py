@@ -1,0 +1,57 @@
+"""The expanded model at first order: every column that may matter, and its products with the others and the residual.
+
+    r + X' c_0 = X' c + noise,   X whitened, noise independent and standard normal, c_0 the fit's own coefficients
+
+Columns are those of parameters, in units in which they are believed to be about 1, and those of discrepancies. Further
+recordings add their products: parameters are the same there, discrepancies have coefficients of their own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from vehicle_sbi.mismatch.estimation.expansion import Expansion
+from vehicle_sbi.mismatch.fit import Fit
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy
+
+
+@dataclass(frozen=True)
+class LinearGaussian:
+    """Products H = X X' and b = X r of columns: base parameters, shapes, sizes, then groups of discrepancies, each of
+    which ends at one of `stop`."""
+
+    H: Float[np.ndarray, "n n"]
+    b: Float[np.ndarray, " n"]
+    stop: Int[np.ndarray, " groups"]
+
+
+def linear_gaussian(expansion: Expansion, parts: Sequence[tuple[Fit, Sequence[Discrepancy]]]) -> LinearGaussian:
+    """Of fits of the same point of the expanded model to several recordings, each with its own discrepancies."""
+    first = len(expansion.unit)
+    widths = [len(one.whitened) for _, found in parts for one in found]
+    n = first + sum(widths)
+    H, b, at = np.zeros((n, n)), np.zeros(n), first
+    for fit, found in parts:
+        X, r = _columns(expansion, fit)
+        X = np.concatenate([X, *(one.whitened for one in found)])
+        where = np.concatenate([np.arange(first), at + np.arange(len(X) - first)])
+        H[np.ix_(where, where)] += X @ X.T
+        b[where] += X @ r
+        at += len(X) - first
+    return LinearGaussian(H, b, first + np.cumsum(widths, dtype=np.int64))
+
+
+def order(expansion: Expansion) -> np.ndarray:
+    """Places of the parameters in the order of the columns: base, shapes, sizes."""
+    base, sizes, shapes = (np.arange(one.start, one.stop) for one in expansion.slices)
+    return np.concatenate([base, shapes, sizes])
+
+
+def _columns(expansion: Expansion, fit: Fit) -> tuple[Float[np.ndarray, "d samples"], Float[np.ndarray, " samples"]]:
+    """What parameters do per unit of their coefficients, and the residual from where all coefficients are zero."""
+    per_std = fit.metric(fit.at.J).reshape(len(fit.theta), -1)
+    X = per_std * (expansion.unit / fit.simulator.space.prior_std)[:, None]
+    r = fit.metric(fit.residual).reshape(-1) + ((fit.theta - expansion.rest) / expansion.unit) @ X
+    return X[order(expansion)], r
