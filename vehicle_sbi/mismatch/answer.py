@@ -169,7 +169,8 @@ class Unsupported:
 @dataclass(frozen=True)
 class Verdict:
     """What the diagnosis says; its fields are those of verdict.json. `effects`: how probable it is that each of them is
-    missing, whatever else is; `share_explained`: what the likeliest set explains of the squared score of all that was
+    missing, whatever else is; `whatever_else`: the same where every effect is free at once (empty where it was not
+    asked); `share_explained`: what the likeliest set explains of the squared score of all that was
     found; `could_show` and `invisible`: which the recordings would have shown with a power of 80 %, and which they
     could not; `cannot_act`: which change nothing here whatever their size, and why; `unsupported`: sets that are not
     among the explanations because their sizes may as well be nothing, the likeliest first; `warnings`: those of the
@@ -181,6 +182,7 @@ class Verdict:
     mismatch: list[Place]
     explanations: list[Named]
     effects: dict[str, float]
+    whatever_else: dict[str, float]
     p_none: float
     p_unknown: float
     share_explained: float | None

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.data.windows import Windows, check_alike, joined, one_after_another
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.setup import Setup
 from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.fit import Observation
@@ -47,6 +48,7 @@ class Case:
     warnings: tuple[str, ...]
     inputs: dict[str, str]
     belief: Belief
+    effect_prior: EffectPrior
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +63,7 @@ class Diagnosis(Setup):
     recordings: Sequence[str | RecordingFile]
     heldout: Sequence[str | RecordingFile]
     belief: Belief
+    effect_prior: EffectPrior = field(default_factory=EffectPrior)
 
     def prepare(self) -> Case:
         """Read everything; InputError for recordings that do not go together, a box without its effect's null, or noise
@@ -104,6 +107,7 @@ class Diagnosis(Setup):
             warnings=warnings,
             inputs=inputs,
             belief=self.belief,
+            effect_prior=self.effect_prior,
         )
 
     def _window_s(self, training: Read, held: Read) -> float:

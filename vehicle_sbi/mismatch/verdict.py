@@ -39,6 +39,7 @@ from vehicle_sbi.mismatch.locate import Stretch, lies_in, merged, own_time
 from vehicle_sbi.mismatch.loose import Loose
 from vehicle_sbi.mismatch.model_average import averaged
 from vehicle_sbi.mismatch.onset import Onset
+from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.mismatch.wording import SPOKEN_OF, distrusted, sentence
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -120,10 +121,13 @@ def verdict(
     predictions: Mapping[str, Prediction],
     gained: Gain | None,
     seen: Card,
+    pruned: Pruned | None = None,
 ) -> Verdict:
     """Everything that the diagnosis found, put into the answer's form."""
     model = chosen(explanation)
     before, after = estimates(explanation.base.model, explanation.temper), averaged(explanation)
+    if pruned is not None:
+        after = {p.name: _drawn(pruned.draws(p.name), p.unit) for p in pruned.expansion.base}
     accepted = None if model is explanation.base.model else judged(case.observation, case.held_out, predictions, gained)
     together = explanation.indistinguishable() if explanation.detected else []
     unknown = _unknown(explanation) if explanation.p_unknown > SPOKEN_OF else None
@@ -151,6 +155,7 @@ def verdict(
         mismatch=mismatch,
         explanations=found,
         effects=explanation.single,
+        whatever_else={} if pruned is None else pruned.effects,
         p_none=explanation.p_none,
         p_unknown=explanation.p_unknown + rest,
         share_explained=_share_explained(explanation),

@@ -25,6 +25,7 @@ from vehicle_sbi.mismatch.gate import Gate, through
 from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
 from vehicle_sbi.mismatch.locate import spoken
 from vehicle_sbi.mismatch.sampled import sized
+from vehicle_sbi.mismatch.selection.expand_and_prune import MOST_READINGS, Pruned, expand_and_prune
 from vehicle_sbi.mismatch.separability import Card, card
 from vehicle_sbi.mismatch.verdict import chosen, verdict
 from vehicle_sbi.report.card import LEGEND, could_show, hidden
@@ -44,7 +45,13 @@ STAGES = {
     "explanation": "what is missing",
     "sizes": "how large it is",
     "posterior": "inferring it",
+    "pruned": "every effect at once",
 }
+WHATEVER_ELSE = (
+    "Probability that each effect is missing where any number of them may be, and discrepancies that no effect stands "
+    "for. Base parameters after the diagnosis are averages over all of these."
+)
+LIKELY = 0.2  # probability from which an effect is listed there
 Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
@@ -56,8 +63,8 @@ if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
 def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, *, seed: int, figures: bool) -> None:
     """All stages, each kept on disk once it is done, then everything that is written for the user; `again` says how the
     extended model is to be inferred, if it is."""
-    starts, draws, sizes = (
-        generator(seed=seed, stream=Stream.STUDY, index=k) for k in (2, 3, 4)
+    starts, draws, sizes, sampled = (
+        generator(seed=seed, stream=Stream.STUDY, index=k) for k in (2, 3, 4, 5)
     )  # a stage has its own
     stages = len(STAGES) - 1  # the last one is in place of the one before
     with tqdm(total=stages, bar_format="{desc:<24}|{bar:20}| {elapsed}{postfix}", disable=None) as bar:
@@ -72,9 +79,10 @@ def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, 
             found = _kept(folder, "sizes", Explanation, lambda: sized(searched, sizes).supported(), bar)
         else:
             found = _kept(folder, "posterior", Explanation, lambda: again.of(searched, rounds).supported(), bar)
+        pruned = _kept(folder, "pruned", AtOnce, lambda: at_once(case, found, showing, sampled), bar).pruned
     with folder.stage("report"):
         predictions, gained = proved(case, found)
-        answer = verdict(case, passed, found, predictions, gained, seen)
+        answer = verdict(case, passed, found, predictions, gained, seen, pruned)
         write(folder, found, answer)
         if figures:
             write_report(folder, case, found, predictions, answer, seen)
@@ -88,6 +96,21 @@ class Begun:
     base: Fit
     gate: Gate
     full: Fit | None
+
+
+@dataclass(frozen=True)
+class AtOnce:
+    """What is found with every effect free at once, if that is asked and can be simulated."""
+
+    pruned: Pruned | None
+
+
+def at_once(case: Case, found: Explanation, known: Sequence[Direction], rng: np.random.Generator) -> AtOnce:
+    """Expand and prune, where anything is missing and recordings are not too long for it."""
+    base = found.base.model.fit
+    if not found.detected or base.at.y.size > MOST_READINGS:
+        return AtOnce(None)
+    return AtOnce(expand_and_prune(base, known, case.naming, prior=case.effect_prior, rng=rng))
 
 
 def started(case: Case, rng: np.random.Generator) -> Begun:
@@ -169,6 +192,9 @@ def write_report(
         sections={
             "Answer": _paragraphs([line for line in (answer.sentence, answer.separating_experiment) if line]),
             "Explanations": in_section(html(_explanations(answer)) + _of_held_out(answer) + _set_aside(answer)),
+            "With every effect free at once": in_section(html(_whatever_else(answer)), WHATEVER_ELSE)
+            if answer.whatever_else
+            else "<p>Not asked: nothing was detected, or the recordings are too long.</p>",
             "Where": in_section(html(_places(answer))) if answer.mismatch else "<p>Nowhere beyond noise.</p>",
             "Held out": in_section(html(_scores(answer))) + _accepted(answer),
             "What these recordings could have shown": in_section(html(could_show(seen)), LEGEND)
@@ -203,6 +229,12 @@ def _explanations(answer: Verdict) -> pd.DataFrame:
     columns = ["explanation", "probability", "with something unknown", "held out", "size"]
     table = pd.DataFrame(rows, columns=columns, dtype=object).fillna("")
     return table.loc[:, ["explanation", "probability", *(c for c in table.columns[2:] if table[c].any())]]
+
+
+def _whatever_else(answer: Verdict) -> pd.DataFrame:
+    """Effects that are at all likely where all of them may be missing at once."""
+    likely = {name: p for name, p in answer.whatever_else.items() if p >= LIKELY}
+    return pd.DataFrame({"effect": [*likely], "probability": [f"{p:.2f}" for p in likely.values()]})
 
 
 def _of_held_out(answer: Verdict) -> str:

@@ -21,6 +21,8 @@ from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, discrepanci
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Shared, sample
 
 FIRST = Chain(chains=2, sweeps=120, forgotten=40, every=2)  # to say where to fit again
+CHAIN = Chain(chains=2, sweeps=240, forgotten=80, every=2)
+MOST_READINGS = 40_000  # samples times channels: of more, products of all columns take minutes and gigabytes
 LEAST_RMS = 0.02  # typical sizes, within which an effect that is out is held
 
 
@@ -43,6 +45,9 @@ class Belief:
     shared: Shared = field(default_factory=lambda: Shared(spikes=(0.1,)))
     rounds: int = 3
     pooled: int = 2
+
+
+BELIEF = Belief()
 
 
 @dataclass(frozen=True)
@@ -80,9 +85,9 @@ def expand_and_prune(
     naming: Observation | None,
     *,
     prior: EffectPrior,
-    belief: Belief,
-    chain: Chain,
     rng: np.random.Generator,
+    belief: Belief = BELIEF,
+    chain: Chain = CHAIN,
 ) -> Pruned | None:
     """From the base model's fit on, with directions that are known to act and recordings that help to name, if any.
 

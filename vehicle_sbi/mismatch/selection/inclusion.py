@@ -25,6 +25,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 
 REFRESHED = 10  # sweeps after which S is factorised anew, against rounding
+TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
 SWAPS = 6  # of two groups' states, tried in a sweep
 
 
@@ -46,7 +47,8 @@ class Groups:
     levels) are the standard deviations of a group's coefficients at each level, the first of them the spike's of a
     named group or (next to) nothing, `share` their prior probabilities beside the first one's. `rate` is the
     probability of any level beside the first, `named` says which groups are effects, whose spike and rate follow what
-    is learned of all; `sign` (columns) is 1 for a coefficient that cannot be negative, -1 for one that cannot be positive.
+    is learned of all; `sign` (columns) is 1 for a coefficient that cannot be negative, -1 for one that cannot be
+    positive.
     """
 
     start: int
@@ -118,8 +120,8 @@ def _log_slab(mean: float, variance: float, sd: float, sign: int) -> float:
         return math.log(square)
     std = math.sqrt(variance)
     z = sign * mean / std
-    if z < -6.0:  # the tail's expansion, 2 phi(z) (2 / |z|^3) variance
-        return -0.5 * z * z - 0.2257914 + math.log(2.0 * variance / (sd * sd)) - 3.0 * math.log(-z)
+    if z < -20.0:  # the tail's expansion: the mean square is 2 phi(z) / |z|^3 (1 - 6 / z^2) variances
+        return -0.5 * z * z + math.log(TAIL * variance / (sd * sd)) - 3.0 * math.log(-z) + math.log1p(-6.0 / (z * z))
     density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
     part = square * 0.5 * math.erfc(-z / math.sqrt(2.0)) + z * variance / (sd * sd) * density
     return math.log(max(2.0 * part, 1e-300))

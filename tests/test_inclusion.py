@@ -1,0 +1,111 @@
+"""The sampler of sets against all sets enumerated, and its parts against quadrature and closed forms."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import logsumexp
+from scipy.stats import norm
+
+from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Shared, _drawn, _log_slab, sample
+
+SLABS = (0.6, 1.5)
+SHARED = Shared(spikes=(0.02, 0.1), missing=(0.1, 1.0), discrepant=(1.0,))
+
+
+def problem(*, signed: bool) -> tuple[np.ndarray, np.ndarray, Groups]:
+    """Two columns that are always in, five that may be missing, of which two are nearly the same."""
+    rng = np.random.default_rng(3)
+    X = rng.standard_normal((7, 60))
+    X[4] = X[3] + 0.3 * rng.standard_normal(60)
+    r = X.T @ np.array([1.0, 0.0, 0.0, 0.5, 0.0, 0.0, -0.3]) + rng.standard_normal(60)
+    sign = np.array([0, 0, 0, 1, -1, 0, 1]) if signed else np.zeros(7, dtype=np.int64)
+    groups = Groups(
+        start=2,
+        stop=np.arange(3, 8),
+        precision=np.ones(2),
+        amplitude=np.tile([1.0, *SLABS], (5, 1)),
+        share=np.tile([1.0, 0.7, 0.3], (5, 1)),
+        rate=np.array([0.1, 0.3, 0.3, 0.3, 0.5]),
+        named=np.ones(5, dtype=bool),
+        sign=sign.astype(np.int64),
+    )
+    return X @ X.T, X @ r, groups
+
+
+def enumerated(H: np.ndarray, b: np.ndarray, groups: Groups) -> np.ndarray:
+    """Inclusion probabilities from every state, by the definition of its evidence."""
+    weight, included = [], []
+    for level in itertools.product(range(3), repeat=5):
+        for spike, missing in itertools.product(SHARED.spikes, SHARED.missing):
+            sd = np.array([groups.amplitude[g, k] * (1.0 if k else spike) for g, k in enumerate(level)])
+            precision = np.concatenate([groups.precision, sd**-2])
+            A = H + np.diag(precision)
+            mean, S = np.linalg.solve(A, b), np.linalg.inv(A)
+            log = 0.5 * b @ mean - 0.5 * np.linalg.slogdet(A)[1] + 0.5 * np.log(precision).sum()
+            for g, k in enumerate(level):
+                odds = groups.rate[g] / (1.0 - groups.rate[g]) * missing
+                log += (np.log(odds * groups.share[g, k]) if k else 0.0) - np.log1p(odds)
+                j = groups.start + g
+                log += _log_slab(mean[j], S[j, j], sd[g], groups.sign[j]) if k else 0.0
+            weight.append(log)
+            included.append(np.array(level) > 0)
+    p = np.exp(np.array(weight) - logsumexp(weight))
+    return p @ np.array(included)
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_inclusion_probabilities_are_those_of_all_sets_enumerated(signed: bool) -> None:
+    H, b, groups = problem(signed=signed)
+    n = 4 * 2500
+    found = sample(H, b, groups, SHARED, Chain(chains=4, sweeps=2600, forgotten=100, every=1), np.random.default_rng(0))
+    exact = enumerated(H, b, groups)
+    # Sweeps follow each other: a tenth of them count as independent at least, and five standard deviations are allowed.
+    assert np.abs(found.included.mean(axis=0) - exact) == pytest.approx(np.zeros(5), abs=5.0 * 0.5 / np.sqrt(n / 10.0))
+
+
+@pytest.mark.parametrize(("mean", "std", "sd"), [(0.5, 0.3, 1.0), (-0.5, 0.3, 0.6), (2.0, 0.5, 0.6), (0.0, 1.0, 1.0)])
+@pytest.mark.parametrize("sign", [0, 1, -1])
+def test_weight_of_a_slab_is_the_mean_square_on_its_side_of_zero(mean: float, std: float, sd: float, sign: int) -> None:
+    def weighted(x: float) -> float:
+        side = 1.0 if sign == 0 else 2.0 * (sign * x > 0)
+        return (x / sd) ** 2 * side * float(norm.pdf(x, mean, std))
+
+    exact = quad(weighted, mean - 12 * std, mean + 12 * std, points=[0.0], limit=500)[0]
+    assert _log_slab(mean, std**2, sd, sign) == pytest.approx(np.log(exact), abs=1e-6)
+
+
+def test_weight_of_a_slab_far_on_the_wrong_side_joins_its_expansion() -> None:
+    inside, beyond = (_log_slab(-z, 1.0, 1.0, 1) for z in (19.999, 20.001))
+    assert inside == pytest.approx(beyond, abs=0.05)  # 0.04 from the step, 45 / z^4 from the expansion's next term
+    assert beyond < inside
+
+
+def test_coefficients_have_the_posterior_s_mean_and_spread() -> None:
+    H, b, _ = problem(signed=False)
+    precision = np.ones(7)
+    S = np.linalg.inv(H + np.diag(precision))
+    m = S @ b
+    none = np.zeros(7, dtype=np.int64)
+    draws = np.array([_drawn(H, precision, S, m, none, np.zeros(7)) for _ in range(4000)])
+    std = np.sqrt(np.diag(S))
+    assert np.abs(draws.mean(axis=0) - m) / std == pytest.approx(np.zeros(7), abs=5.0 / np.sqrt(4000))
+    assert draws.std(axis=0) / std == pytest.approx(np.ones(7), abs=5.0 / np.sqrt(2 * 4000))
+
+
+def test_one_sided_coefficients_in_slabs_are_never_on_the_wrong_side() -> None:
+    H, b, groups = problem(signed=True)
+    found = sample(H, b, groups, SHARED, Chain(chains=2, sweeps=300, forgotten=100), np.random.default_rng(1))
+    for g in range(5):
+        sign, j = groups.sign[groups.start + g], groups.start + g
+        assert np.all(sign * found.coefficient[found.included[:, g], j] >= 0.0)
+
+
+def test_the_same_generator_gives_the_same_draws() -> None:
+    H, b, groups = problem(signed=False)
+    one, other = (
+        sample(H, b, groups, SHARED, Chain(chains=2, sweeps=60, forgotten=20), np.random.default_rng(5))
+        for _ in range(2)
+    )
+    assert np.array_equal(one.coefficient, other.coefficient)
