@@ -27,7 +27,7 @@ from vehicle_sbi.mismatch.gate import Gate
 from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
-from vehicle_sbi.report.diagnosis import Begun
+from vehicle_sbi.report.diagnosis import AtOnce, Begun
 from vehicle_sbi.report.extended import extended
 from vehicle_sbi.report.stage_file import read, write
 
@@ -210,6 +210,7 @@ def test_every_stage_that_was_kept_is_written_again_as_it_was_read(run: Path, tm
     kinds = {"fit": Begun, "directions": list[Direction], "separability": Card} | dict.fromkeys(
         ("explanation", "sizes"), Explanation
     )
+    kinds["pruned"] = AtOnce
     assert {path.name for path in (run / "stages").iterdir()} == {f"{name}.npz" for name in kinds}
     for name, kind in kinds.items():
         path, again = run / "stages" / f"{name}.npz", tmp_path / f"{name}.npz"

@@ -6,7 +6,7 @@ effect that is out is held to its null, the discrepancy that was found is taken 
 last rounds are pooled, since none of their linear models is the right one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -64,11 +64,14 @@ class Pruned:
     @property
     def effects(self) -> dict[str, float]:
         """The probability that each effect is missing, whatever else is; the largest first."""
-        columns: dict[str, list[int]] = {}
-        for k, p in enumerate(self.expansion.sizes):
-            columns.setdefault(p.name.split(".")[0], []).append(k)
-        found = {name: float(self.included[:, of].any(axis=1).mean()) for name, of in columns.items()}
+        names = dict.fromkeys(p.name.split(".")[0] for p in self.expansion.sizes)
+        found = {name: self.any_of([name]) for name in names}
         return dict(sorted(found.items(), key=lambda one: -one[1]))
+
+    def any_of(self, effects: Collection[str]) -> float:
+        """The probability that at least one of some effects is missing."""
+        columns = [k for k, p in enumerate(self.expansion.sizes) if p.name.split(".")[0] in effects]
+        return float(self.included[:, columns].any(axis=1).mean())
 
     def draws(self, name: str) -> Float[np.ndarray, " n"]:
         """Of one parameter; of an effect's size, those in which it is missing, if there are any."""

@@ -1,0 +1,105 @@
+"""The model with every effect in: its linear problem, and what is found in recordings whose truth is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import TRUTH, fitted, lateral, recorded
+from test_effect_prior import stated
+
+from vehicle_sbi.inference.directions import left_out
+from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
+from vehicle_sbi.mismatch.estimation.linear_gaussian import linear_gaussian, order
+from vehicle_sbi.mismatch.fit import Fit
+from vehicle_sbi.mismatch.hypotheses.discrepancy import discrepancies
+from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned, expand_and_prune
+from vehicle_sbi.mismatch.selection.inclusion import Chain
+
+SHORT = Chain(chains=2, sweeps=160, forgotten=60, every=2)
+
+
+@pytest.fixture(scope="module")
+def base() -> Fit:
+    """The base model's fit to a car whose body rolls and whose steering is late."""
+    observation = recorded(
+        lateral(seconds=20.0, known_start=False), body_roll__gradient=0.008, steering_delay__time=0.05
+    )
+    return fitted(observation)
+
+
+@pytest.fixture(scope="module")
+def expanded(base: Fit) -> tuple[Expansion, Fit]:
+    expansion = Expansion.of(base.simulator.space, left_out(base.simulator, base.theta), stated())
+    start = np.concatenate([base.theta, expansion.rest[len(base.theta) :]])
+    fit = expansion.fitted(expansion.observed(base), start, np.full(len(expansion.sizes), WIDER))
+    assert fit is not None
+    return expansion, fit
+
+
+@pytest.fixture(scope="module")
+def pruned(base: Fit) -> Pruned:
+    known = left_out(base.simulator, base.theta)
+    found = expand_and_prune(base, known, None, prior=stated(), rng=np.random.default_rng(0), chain=SHORT)
+    assert found is not None
+    return found
+
+
+def test_columns_and_residual_are_those_of_the_fit(expanded: tuple[Expansion, Fit]) -> None:
+    # At the fit's own coefficients c the linear model leaves over what the fit does: b - H c = X r.
+    expansion, fit = expanded
+    problem = linear_gaussian(expansion, [(fit, [])])
+    c = ((fit.theta - expansion.rest) / expansion.unit)[order(expansion)]
+    J = fit.metric(fit.at.J).reshape(len(fit.theta), -1) * (expansion.unit / fit.simulator.space.prior_std)[:, None]
+    r = fit.metric(fit.residual).reshape(-1)
+    scale = np.sqrt(np.diag(problem.H)) * np.linalg.norm(r) + 1e-9
+    assert (problem.b - problem.H @ c) / scale == pytest.approx((J @ r)[order(expansion)] / scale, abs=1e-9)
+
+
+def test_recordings_that_come_twice_tell_parameters_twice(expanded: tuple[Expansion, Fit]) -> None:
+    expansion, fit = expanded
+    found = discrepancies(fit)
+    once, twice = (linear_gaussian(expansion, parts) for parts in ([(fit, found)], [(fit, found)] * 2))
+    n, more = len(expansion.unit), len(once.b) - len(expansion.unit)
+    assert twice.H[:n, :n] == pytest.approx(2.0 * once.H[:n, :n])
+    assert twice.H[n : n + more, n + more :] == pytest.approx(np.zeros((more, more)))  # courses of their own
+
+
+def test_a_discrepancy_s_columns_are_what_its_series_do_in_units_of_the_noise(expanded: tuple[Expansion, Fit]) -> None:
+    _, fit = expanded
+    for one in discrepancies(fit):
+        white = fit.metric(one.series).reshape(len(one.series), -1)
+        assert white == pytest.approx(one.whitened, abs=1e-6 * np.abs(one.whitened).max())
+
+
+def test_what_is_missing_is_named_and_its_sizes_hold(pruned: Pruned) -> None:
+    # A steering delay may be a sensor's or a lag, body roll a gain of the accelerometer or the tyres': which of them is
+    # at one frequency of the steering not told, that one of them is there is.
+    assert pruned.any_of(["steering_delay", "steering_lag", "sensor_delay", "sensor_lag"]) > 0.5
+    assert pruned.any_of(["body_roll", "accelerometer_scale"]) > 0.5
+    assert max(pruned.effects.values()) <= 1.0
+
+
+def test_base_parameters_hold_the_truth_though_physics_is_missing(base: Fit, pruned: Pruned) -> None:
+    # 3 parameters within 99.9 % each: 3.3 standard deviations.
+    for p, truth in zip(pruned.expansion.base, TRUTH, strict=True):
+        draws = pruned.draws(p.name)
+        assert abs(draws.mean() - truth) < 3.3 * draws.std(), p.name
+        assert draws.std() < 0.9 * (p.high - p.low) / np.sqrt(12.0), p.name
+
+
+def test_draws_lie_in_their_boxes(pruned: Pruned) -> None:
+    space = pruned.fit.simulator.space
+    assert np.all((pruned.theta >= space.low) & (pruned.theta <= space.high))
+
+
+def test_what_is_believed_to_be_rare_is_named_less(base: Fit) -> None:
+    known = left_out(base.simulator, base.theta)
+    table = {effect: {k: list(entry) for k, entry in of.items()} for effect, of in stated().table.items()}
+    for entry in table["body_roll"].values():
+        entry[0] = 1e-4
+    rare = replace(stated(), table=table)
+    found = expand_and_prune(base, known, None, prior=rare, rng=np.random.default_rng(0), chain=SHORT)
+    usual = expand_and_prune(base, known, None, prior=stated(), rng=np.random.default_rng(0), chain=SHORT)
+    assert found is not None
+    assert usual is not None
+    assert found.effects["body_roll"] <= usual.effects["body_roll"] + 0.05
