@@ -179,7 +179,7 @@ def _level_evidence(g, first, last, level, precision, S, m, amplitude, spike, na
     weighted = named[g] and q == 1
     e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
     u = V.T @ m[first:last]
-    W = S[:, first:last] @ V
+    W = np.ascontiguousarray(S[:, first:last]) @ V
     found = np.full(amplitude.shape[1], -np.inf)
     for k in range(amplitude.shape[1]):
         sd = amplitude[g, k] * (spike if named[g] and k == 0 else 1.0)
@@ -219,7 +219,7 @@ def _set_level(first, last, to, precision, S, m):
     if d == 0.0:
         return
     e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
-    W = S[:, first:last] @ V
+    W = np.ascontiguousarray(S[:, first:last]) @ V
     c = d / (1.0 + d * np.maximum(e, 0.0))
     m -= W @ (c * (V.T @ m[first:last].copy()))
     S -= (W * c) @ W.T
