@@ -60,9 +60,12 @@ class Problem:
 
     @cached_property
     def neighbourhood(self) -> tuple[Neighbourhood, ...]:
-        """Where a fit leaves the parameters: a single region, or none where the features say less than the fit uses."""
+        """Where a fit leaves the parameters: a single region, or none where the features say less than the fit uses.
+
+        None either with plausible effects free: each is there or not, so no normal about a fit holds the posterior.
+        """
         simulator, space = self.simulator, self.simulator.space
-        if not self.features.efficient:
+        if not self.features.efficient or len(simulator.plausible):
             return ()
         rng = generator(seed=simulator.seed, stream=Stream.STUDY, index=3)
         drawn = rng.uniform(space.low, space.high, (FIT_STARTS - 1, len(space)))
