@@ -144,12 +144,15 @@ class Score:
     Both take noise as independent: whitening a slow residual would hand the decision to its fastest part, which a
     model explains worst. What autocorrelation costs in certainty is in the simulations, so the network learns it.
 
-    With plausible effects free, tens of nuisances, the score is hardened against them (`hardened_score`): as many
-    features as parameters, from one matrix product. That costs what a linear estimate misses. A series is not fitted on
-    its own, so under noise that is a share of the signal the score holds near the fiducial only; and an effect that the
-    series itself shows or excludes is hardened against all the same, by its mean square over all cars.
+    With plausible effects free, tens of nuisances, the score is hardened against them (`hardened_score`) in one matrix
+    product: a series is not fitted on its own, which with so many nuisances takes minutes and tells no more, even under
+    noise that is a share of the signal. A linear estimate hardens by an effect's mean square over all cars, whether the
+    series shows the effect or excludes it. So with `nuisances` the estimates of what is drawn stand beside those of the
+    parameters, some 30 to 60 features from which the network tells one from the other; without, there are as many
+    features as parameters, quicker to learn and 0.2 to 0.9 nats worse after 12000 simulations.
     """
 
+    nuisances: bool = True
     recentred: bool = True
     efficient: ClassVar[bool] = True
 
@@ -158,7 +161,7 @@ class Score:
         variance = simulator.noise.std(pilot).astype(float).reshape(len(pilot), -1) ** 2
         std = np.sqrt(variance.mean(axis=0))
         if len(simulator.plausible):
-            return _explained(model, std * slow(simulator), len(fiducial))
+            return _explained(model, std * slow(simulator), len(model.J) if self.nuisances else len(fiducial))
         if not simulator.noise.share.any():
             return _explained(model, std, len(model.J))
         white = model.J / std
