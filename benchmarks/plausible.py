@@ -1,6 +1,6 @@
 """Do intervals hold although physics is missing: base parameters with and without `effects=plausible`.
 
-    .venv/bin/python benchmarks/plausible.py [DRIVES]       ten minutes on one core for the six drives it takes by itself
+    .venv/bin/python benchmarks/plausible.py [DRIVES]       ten minutes on one core for six drives
 
 Each drive is the paper's mild manoeuvre of the paper's car with stated sensor noise, its truth drawn from the prior and
 its effects from `conf/effect_prior/passenger_car.yaml`. All ways of inferring it see the same series. How they differ:
@@ -148,8 +148,8 @@ def main(drives: int) -> None:
     ]
     text = (
         f"{drives} drives from seed {FIRST_SEED}, each with effects drawn from the prior of {len(free)} parameters of "
-        f"{len(free.effects)} effects; {ROUNDS.rounds} rounds, {ROUNDS.simulations} simulations, {ROUNDS.last} times as "
-        "many in the last. In brackets a 90 % interval by a bootstrap over drives, and the number of values.\n\n"
+        f"{len(free.effects)} effects; {ROUNDS.rounds} rounds of {ROUNDS.simulations} simulations, {ROUNDS.last} times "
+        "as many in the last. In brackets a 90 % interval by a bootstrap over drives, and the number of values.\n\n"
         f"{markdown(pd.DataFrame(rows))}\n"
         f"{date.today()}, {processor()}, one core of {os.cpu_count()}, {platform.platform()}.\n"
     )
