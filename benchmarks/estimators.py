@@ -114,9 +114,10 @@ def exact(simulator: Simulator, observed: np.ndarray, truth: np.ndarray) -> np.n
     def log_posterior(q: np.ndarray) -> np.ndarray:
         density = log_prior(q)
         rows = np.flatnonzero(density > -200.0)
-        initial = np.zeros((len(rows), 1, 3))
+        n = len(rows)
+        initial = np.zeros((n, 1, 3))
         initial[:, 0, 0] = q[rows, -1]
-        y, _ = simulator.run(q[rows, :-1], Draws(np.zeros((len(rows), 1, 4)), np.zeros((len(rows), 1, 2)), initial))
+        y, _ = simulator.run(q[rows, :-1], Draws(np.zeros((n, 1, 4)), np.zeros((n, 1, 2)), initial, np.zeros((n, 0))))
         std = simulator.noise.std(y)
         likelihood = (-0.5 * ((observed - y) / std) ** 2 - np.log(std)).sum(axis=(1, 2))
         density[rows] += np.where(np.isfinite(likelihood), likelihood, -np.inf)

@@ -15,7 +15,9 @@ from vehicle_sbi.inference.features import (
     Handcrafted,
     Score,
     correlations,
+    hardened_score,
     independent_rows,
+    slow,
 )
 from vehicle_sbi.inference.information import fisher, joint_fisher, sensitivity
 from vehicle_sbi.inference.simulator import Simulator
@@ -230,3 +232,45 @@ def test_the_score_of_several_windows_is_one_number_per_parameter() -> None:
     long = replace(sim, windows=repeated(sim.windows, 3))
     y = long.noise_free(MIDDLE[None])
     assert Score().fit(long, MIDDLE, MIDDLE[None], y)(y).shape == (1, 3)
+
+
+def test_a_hardened_score_is_the_ordinary_one_where_nuisances_are_independent_of_the_parameters() -> None:
+    J, _ = np.linalg.qr(np.random.default_rng(8).standard_normal((200, 7)))
+    white = 30.0 * J.T
+    np.testing.assert_allclose(hardened_score(white, 3), white[:3], atol=30.0 * 200 * np.finfo(float).eps)
+
+
+@pytest.mark.parametrize("precision", [1.0, 1e-2, 1e-4])
+def test_a_hardened_score_does_not_move_with_nuisances_of_a_wide_prior(precision: float) -> None:
+    """Its derivative by them is S (F_nn + P)^-1 P with S = F_bn: at most |F_bn| P / lambda_min(F_nn), 0 as P is."""
+    white = np.random.default_rng(9).standard_normal((9, 100))
+    white[3:] /= np.sqrt(precision)  # in units of a spread of precision^-1/2
+    moved = hardened_score(white, 3) @ white[3:].T * np.sqrt(precision)
+    F = white[:3] @ white[3:].T * np.sqrt(precision)
+    least = np.linalg.eigvalsh(white[3:] @ white[3:].T)[0] * precision
+    assert np.linalg.norm(moved, 2) <= np.linalg.norm(F, 2) * precision / least * (1 + 1e-9)
+
+
+def test_a_hardened_score_keeps_the_information_of_the_schur_complement() -> None:
+    """Linear and Gaussian: D' C^-1 D of t = H y equals (F_bb - F_bn (F_nn + I)^-1 F_nb), which is that of y, itself
+    J_b' (I + J_n' J_n)^-1 J_b, where C = H (I + J_n' J_n) H' is what noise and nuisances make of t."""
+    white, d = np.random.default_rng(10).standard_normal((9, 60)), 3
+    H = hardened_score(white, d)
+    covariance = np.eye(60) + white[d:].T @ white[d:]
+    D = H @ white[:d].T
+    held = D.T @ np.linalg.solve(H @ covariance @ H.T, D)
+    F = white @ white.T
+    schur = F[:d, :d] - F[:d, d:] @ np.linalg.solve(F[d:, d:] + np.eye(6), F[d:, :d])
+    np.testing.assert_allclose(held, schur, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(schur, white[:d] @ np.linalg.solve(covariance, white[:d].T), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.6])
+def test_slow_noise_counts_by_the_variance_of_its_mean(rho: float) -> None:
+    """n var(mean) / sigma^2 of AR(1) noise: (1 + rho) / (1 - rho) less 2 rho / n (1 - rho)^2, under a hundredth."""
+    sim = simulator()
+    sim = sim.with_noise(constant_noise(sim.windows, rho=rho))
+    n = 4000
+    lag = np.arange(1, n)
+    expected = 1 + 2 * np.sum((1 - lag / n) * rho**lag)
+    np.testing.assert_allclose(slow(sim) ** 2, expected, rtol=0.01)

@@ -13,9 +13,10 @@ physics.compiled physics.vehicle physics.size physics.tyre physics.effects physi
 physics.single_track physics.full_vehicle physics.simulation
 data.channels data.recording data.masks data.smoothing data.windows data.cutting
 data.plausibility data.formats data.readers data.manoeuvre data.noise
-inference.prior inference.simulator inference.information inference.setup inference.embedding inference.emulator
+inference.prior inference.effect_prior inference.spike_slab inference.simulator inference.information inference.setup
+inference.embedding inference.emulator
 inference.features inference.estimator inference.training inference.proposal inference.rounds inference.predictive
-inference.study inference.calibration inference.directions inference.effect_prior
+inference.directions inference.plausible inference.study inference.calibration
 mismatch.belief mismatch.cannot_act mismatch.separability mismatch.fit mismatch.search
 mismatch.full_model mismatch.base_fit mismatch.gate mismatch.case
 mismatch.locate mismatch.laws mismatch.linear mismatch.staircase mismatch.stiction mismatch.detect mismatch.onset

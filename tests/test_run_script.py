@@ -135,6 +135,14 @@ WRONG: Mapping[str, tuple[str | Callable[[Path], str], str]] = {
     ),
     "truth incomplete": ("truth={l_f:1.2}", "truth: no value for h_cog"),
     "seed": ("seed=-1", "seed = -1; it must be a whole number that is not negative"),
+    "neither effects nor plausible": (
+        "effects=plausibel",
+        "effects = plausibel; it must be a list, as in effects=[aero_drag,road_grade], or plausible",
+    ),
+    "rate of an effect": (
+        "effect_prior.table.aero_drag.area=[1.4,0.6]",
+        "effect_prior.table.aero_drag.area = [1.4, 0.6]; a rate lies between 0 and 1",
+    ),
     "drive": ("drive=pedals", "drive: unknown drive mode 'pedals'; known: "),
     "too few": ("rounds.simulations=10", "rounds=truncated: "),
     "negative mass": (lambda folder: f"vehicle={vehicle(folder, m=-1500.0)}", "vehicle 'paper': m = -1500; it must"),
@@ -155,6 +163,7 @@ WRONG: Mapping[str, tuple[str | Callable[[Path], str], str]] = {
 # Each is a process of several seconds; the modules' own tests hold the other lines.
 FIRST = {
     "unknown key",
+    "neither effects nor plausible",
     "prior upside down",
     "negative mass",
     "l_f past L",
@@ -200,3 +209,22 @@ def test_a_disk_that_fills_up_leaves_whole_files_only_and_the_run_can_go_on(whol
     status, _, err = run(*QUICK, f"hydra.run.dir={folder}")
     assert status == 0, err
     assert (folder / "table.csv").read_bytes() == (whole / "table.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_a_run_with_plausible_effects_says_which_were_free_and_what_they_cost(tmp_path: Path) -> None:
+    """Stopped after a round and started again it ends with the same numbers."""
+    plausible = [*QUICK, "effects=plausible", "noise=constant"]
+    folder, again = tmp_path / "run", tmp_path / "again"
+    status, out, err = run(*plausible, f"hydra.run.dir={folder}")
+    assert status == 0, err
+    assert "plausible effects were free" in out
+    assert "bound wider by" in out
+    table = pd.read_csv(folder / "table.csv")
+    assert (table["bound_widened"] >= 1.0).all()
+    assert list(table["parameter"]) == list(pd.read_parquet(folder / "samples.parquet").columns)
+    (again / "rounds").mkdir(parents=True)
+    (again / "rounds" / "round_0.pt").write_bytes((folder / "rounds" / "round_0.pt").read_bytes())
+    status, _, err = run(*plausible, f"hydra.run.dir={again}")
+    assert status == 0, err
+    assert (again / "table.csv").read_bytes() == (folder / "table.csv").read_bytes()

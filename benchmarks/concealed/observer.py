@@ -94,7 +94,7 @@ def evidence(gram: np.ndarray, seen: np.ndarray, one: Hypothesis) -> np.ndarray:
         H = np.eye(len(scale)) + np.outer(scale, scale) * inside
         x = scale * b
         each.append(0.5 * np.einsum("di,id->d", x, np.linalg.solve(H, x.T)) - 0.5 * np.linalg.slogdet(H)[1])
-    return logsumexp(each, axis=0) - math.log(len(SNRS))
+    return np.asarray(logsumexp(each, axis=0)) - math.log(len(SNRS))
 
 
 def rate(gram: np.ndarray, meant: np.ndarray, asked: Sequence[Hypothesis], true: frozenset[str]) -> float:

@@ -37,6 +37,10 @@ class EffectPrior:
                 _check(entry, f"effect_prior.table.{effect}.{key}")
         _check((self.rate, self.share), "effect_prior: [rate, share]")
 
+    def lists(self, p: Parameter) -> bool:
+        """Whether the table has it."""
+        return self._entry(p) is not None
+
     def rate_of(self, p: Parameter) -> float:
         """Probability that a car has it noticeably."""
         entry = self._entry(p)

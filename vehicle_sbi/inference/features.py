@@ -143,8 +143,16 @@ class Score:
 
     Both take noise as independent: whitening a slow residual would hand the decision to its fastest part, which a
     model explains worst. What autocorrelation costs in certainty is in the simulations, so the network learns it.
+
+    With plausible effects free, tens of nuisances, the score is hardened against them (`hardened_score`) in one matrix
+    product: a series is not fitted on its own, which with so many nuisances takes minutes and tells no more, even under
+    noise that is a share of the signal. A linear estimate hardens by an effect's mean square over all cars, whether the
+    series shows the effect or excludes it. So with `nuisances` the estimates of what is drawn stand beside those of the
+    parameters, some 30 to 60 features from which the network tells one from the other; without, there are as many
+    features as parameters, quicker to learn and 0.2 to 0.9 nats worse after 12000 simulations.
     """
 
+    nuisances: bool = True
     recentred: bool = True
     efficient: ClassVar[bool] = True
 
@@ -152,10 +160,13 @@ class Score:
         model = Linearised.about(simulator, fiducial)
         variance = simulator.noise.std(pilot).astype(float).reshape(len(pilot), -1) ** 2
         std = np.sqrt(variance.mean(axis=0))
-        directions = _directions(model.J / std)
-        rows = independent_rows(directions)
+        if len(simulator.plausible):
+            return _explained(model, std * slow(simulator), len(model.J) if self.nuisances else len(fiducial))
         if not simulator.noise.share.any():
-            return _weighted(model, std, rows)
+            return _explained(model, std, len(model.J))
+        white = model.J / std
+        directions = _seen(white @ white.T)[1]
+        rows = independent_rows(directions)
         emulator = Emulator.of(simulator, model.origin, directions, theta, std)
         return lambda y: emulator.fitted(y)[:, rows]
 
@@ -163,22 +174,43 @@ class Score:
         return None
 
 
-def _directions(white: Float[np.ndarray, "p samples"]) -> Float[np.ndarray, "p k"]:
-    """Orthonormal directions of parameters and nuisances that the data see."""
-    values, vectors = np.linalg.eigh(white @ white.T)
+def _seen(information: Float[np.ndarray, "p p"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "p k"]]:
+    """Orthonormal directions that the data see, and the information about each."""
+    values, vectors = np.linalg.eigh(information)
     informative = values > INFORMATIVE
     if not informative.any():
         raise InputError("features=score: this recording tells nothing about any free parameter")
-    return vectors[:, informative]
+    return values[informative], vectors[:, informative]
 
 
-def _weighted(model: Linearised, std: Float[np.ndarray, " samples"], rows: np.ndarray) -> Summary:
-    """What explains series about the model's point under noise of `std`, (n, rows)."""
+def slow(simulator: Simulator) -> Float[np.ndarray, " samples"]:
+    """How many times its own standard deviation noise counts for in what is slow: the root of sum rho^|lag| over all
+    lags, (1 + rho) / (1 - rho), by which the variance of a long mean exceeds that of independent noise."""
+    rho = simulator.noise.rho
+    return np.repeat(np.sqrt((1.0 + rho) / (1.0 - rho)), simulator.windows.t.size)
+
+
+def hardened_score(white: Float[np.ndarray, "p samples"], d: int) -> Float[np.ndarray, "d samples"]:
+    """Sensitivities by d parameters less what nuisances of unit spread explain: J_b - F_bn (F_nn + I)^-1 J_n.
+
+    `white` has the sensitivities by parameters, then nuisances, in units of their spread and of the noise, F = J J'.
+    Times a residual it is the score of the parameters with the nuisances marginalised, and its derivative by the
+    parameters their information, F_bb - F_bn (F_nn + I)^-1 F_nb (Alsing & Wandelt 2019, Nuisance hardened data
+    compression for fast likelihood-free inference).
+    """
+    base, nuisance = white[:d], white[d:]
+    return base - base @ nuisance.T @ np.linalg.solve(nuisance @ nuisance.T + np.eye(len(nuisance)), nuisance)
+
+
+def _explained(model: Linearised, std: Float[np.ndarray, " samples"], d: int) -> Summary:
+    """What explains series about the model's point under noise of `std`: the posterior mean of the first d parameters
+    in a linear model, those after them marginalised; (n, as many of the d as the data tell apart)."""
     white = model.J / std
-    values, vectors = np.linalg.eigh(white @ white.T)
-    informative = values > INFORMATIVE
-    mean = vectors[:, informative] / (values[informative] + 1.0) @ vectors[:, informative].T
-    projection, scale = (mean[rows] @ white).astype(np.float32), std.astype(np.float32)
+    score = hardened_score(white, d)
+    values, vectors = _seen(score @ white[:d].T)
+    rows = independent_rows(vectors)
+    mean = (vectors / (values + 1.0) @ vectors.T)[rows]
+    projection, scale = (mean @ score).astype(np.float32), std.astype(np.float32)
     return lambda y: model.origin[rows] + model.residual(y) / scale @ projection.T
 
 

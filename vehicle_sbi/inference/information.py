@@ -44,15 +44,24 @@ class Sensitivity:
 def sensitivity(
     simulator: Simulator, theta: Float[np.ndarray, " d"], eta: Float[np.ndarray, " e"] | None = None
 ) -> Sensitivity:
-    """Central differences by theta and by the nuisances (at their means unless `eta` is given), in one batch."""
-    d, e = len(theta), len(simulator.nuisances)
-    eta = np.zeros(e) if eta is None else eta
-    width = np.concatenate([simulator.space.high - simulator.space.low, np.ones(e)])
-    steps = STEP * np.diag(width)
-    points = np.concatenate([np.zeros((1, d + e)), steps, -steps])
-    y = simulator.noise_free(theta + points[:, :d], eta + points[:, d:])
+    """Central differences by theta and by the nuisances (at their means unless `eta` is given), in one batch.
+
+    By parameters of plausible effects they reach as far as a part of their size, so that a delay outlasts a sample, and
+    no further than their box, from a null at its edge to one side. Where that makes the simulation fail they are zero.
+    """
+    d, e, slabs = len(theta), len(simulator.nuisances), simulator.plausible
+    eta, box = np.zeros(e) if eta is None else eta, simulator.nuisance_box
+    width = np.concatenate([simulator.space.high - simulator.space.low, np.ones(e - len(slabs))])
+    steps = np.concatenate([STEP * width, slabs.steps])
+    points = np.concatenate([np.zeros((1, d + e)), np.diag(steps), -np.diag(steps)])
+    moved = np.clip(eta + points[:, d:], *box)
+    y = simulator.noise_free(theta + points[:, :d], moved)
     up, down = y[1 : 1 + d + e], y[1 + d + e :]
-    return Sensitivity(theta, y[0], (up - down) / (2 * STEP * width)[:, None, None])
+    between = np.concatenate([2 * steps[:d], (moved[1 + d : 1 + d + e] - moved[1 + d + e + d :]).diagonal()])
+    jacobian = (up - down) / between[:, None, None]
+    first = d + e - len(slabs)
+    jacobian[first:] = np.nan_to_num(jacobian[first:])
+    return Sensitivity(theta, y[0], jacobian)
 
 
 def joint_fisher(simulator: Simulator, at: Sensitivity) -> Float[np.ndarray, "p p"]:
@@ -146,7 +155,8 @@ def _least_squares(
         scaled[:d] *= width[:, None]
         return np.concatenate([-scaled.T, np.eye(d + e)[d:]])
 
-    bounds = (np.concatenate([np.zeros(d), np.full(e, -np.inf)]), np.concatenate([np.ones(d), np.full(e, np.inf)]))
+    low, high = simulator.nuisance_box
+    bounds = np.concatenate([np.zeros(d), low]), np.concatenate([np.ones(d), high])
     begin = [np.concatenate([np.clip((s - space.low) / width, 1e-3, 1 - 1e-3), eta]) for s, eta in starts]
     fits = [
         least_squares(residual, z, jac=jacobian, bounds=bounds, max_nfev=MOST_STEPS, ftol=1e-5)  # pyright: ignore[reportArgumentType]

@@ -47,6 +47,11 @@ def flatten(prior: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in _joined(prior).items() if value is not None}
 
 
+def stated(prior: Mapping[str, Any]) -> frozenset[str]:
+    """Full names of all that a prior names, what it takes out by a null included."""
+    return frozenset(_joined(prior))
+
+
 def _joined(prior: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """A prior by full names, nulls included."""
     flat: dict[str, Any] = {}
@@ -118,12 +123,12 @@ def parameter_space(
             raise unknown("parameter", name, KNOWN, "prior")
         low, high = _bounds(name, value)
         free[name] = replace(KNOWN[name], low=low, high=high)
-    stated = _joined(prior)
+    named = stated(prior)
     for name in effects:
         if name not in CATALOGUE:
             raise unknown("effect", name, CATALOGUE, "effects")
         own = (p for p in CATALOGUE[name].parameters if sensed is None or reported(p, sensed))
-        free |= {p.name: size.fitted(p) for p in own if p.name not in stated}
+        free |= {p.name: size.fitted(p) for p in own if p.name not in named}
     settled = {name for p in free.values() for name in p.fields}
     settled |= set() if sensed is None else {*unused(drive, model, sensed)}
     free |= {name: size.fitted(KNOWN[name]) for name in vehicle.missing(model) if name not in settled}

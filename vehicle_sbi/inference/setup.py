@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -39,13 +39,21 @@ class Setup:
     model: str
     drive: str
     prior: Mapping[str, Any]
-    effects: Sequence[str]
+    effects: Sequence[str] | str
     window_s: float
     warmup_s: float
     noise: Noise
     seed: int
+    instead: ClassVar[tuple[str, ...]] = ()
+    """Words that may stand in the place of a list of effects."""
 
     def __post_init__(self) -> None:
+        listed = isinstance(self.effects, Sequence) and not isinstance(self.effects, str)
+        if not listed and self.effects not in self.instead:
+            words = "".join(f", or {word}" for word in self.instead)
+            raise InputError(
+                f"effects = {self.effects}; it must be a list, as in effects=[aero_drag,road_grade]{words}"
+            )
         if self.drive not in DRIVES:
             raise unknown("drive mode", self.drive, DRIVES, "drive")
         if self.model not in MODELS:
@@ -59,7 +67,7 @@ class Setup:
             self.prior,
             vehicle=self.vehicle,
             model=self.model,
-            effects=self.effects,
+            effects=() if isinstance(self.effects, str) else self.effects,
             drive=self.drive,
             sensed=windows.sensed(self.drive),
         )

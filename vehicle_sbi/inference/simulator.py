@@ -4,7 +4,8 @@ A batch of simulations is a pure function of theta and of addresses (stream, rou
 whatever the size of the batch or the number of cores.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 
 import numba
 import numpy as np
@@ -14,6 +15,7 @@ from numba.core import config
 from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.spike_slab import SpikeAndSlab
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
 from vehicle_sbi.physics.simulation import FINISHED, batch_simulator
@@ -41,11 +43,20 @@ class Draws:
     stiffness: Float[np.ndarray, "n draws 4"]  # [N, N/rad]
     inputs: Float[np.ndarray, "n draws 2"]  # relative, steering and torque
     initial: Float[np.ndarray, "n windows 3"]  # v_x, v_y [m/s], r [rad/s]
+    effects: Float[np.ndarray, "n p"]  # as the columns of a SpikeAndSlab
+
+    @classmethod
+    def joined(cls, each: Sequence["Draws"]) -> "Draws":
+        """Those of several simulations as those of one batch."""
+        return cls(*(np.concatenate([getattr(one, f.name) for one in each]) for f in fields(cls)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Simulator:
-    """A vehicle with free parameters, driven by the inputs of a recording and measured as it was."""
+    """A vehicle with free parameters, driven by the inputs of a recording and measured as it was.
+
+    What it may have beside its model, `plausible`, is drawn anew in every simulation.
+    """
 
     nominal: np.void
     space: ParameterSpace
@@ -57,6 +68,12 @@ class Simulator:
     uniform_start: bool
     substeps: int
     seed: int
+    plausible: SpikeAndSlab = field(default_factory=SpikeAndSlab)
+
+    @property
+    def alone(self) -> "Simulator":
+        """The same without plausible effects."""
+        return replace(self, plausible=SpikeAndSlab())
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -65,7 +82,7 @@ class Simulator:
 
     @property
     def nuisances(self) -> tuple[str, ...]:
-        """Names of what is drawn in each simulation: stiffnesses, input gains, initial states that are uncertain."""
+        """Names of what is drawn in each simulation: stiffnesses, input gains, uncertain initial states, effects."""
         stiffness = STIFFNESSES if self.process.stiffness.std and not self.process.per_sample else ()
         inputs = ("steering", "torque") if self.process.inputs.std and not self.process.per_sample else ()
         initial = tuple(
@@ -74,10 +91,17 @@ class Simulator:
             for name, std in zip(("v_x", "v_y", "r"), self.windows.x0_std, strict=True)
             if std > 0
         )
-        return stiffness + inputs + initial
+        return stiffness + inputs + initial + tuple(slab.parameter.name for slab in self.plausible.slabs)
+
+    @property
+    def nuisance_box(self) -> tuple[Float[np.ndarray, " e"], Float[np.ndarray, " e"]]:
+        """Lowest and highest `eta`: without end, but for those of plausible effects."""
+        endless = np.full(len(self.nuisances) - len(self.plausible), np.inf)
+        return np.concatenate([-endless, self.plausible.low]), np.concatenate([endless, self.plausible.high])
 
     def nuisance_draws(self, eta: Float[np.ndarray, "n e"]) -> Draws:
-        """Draws at `eta`, each nuisance's distance from its mean in standard deviations."""
+        """Draws at `eta`, each nuisance's distance from its mean in standard deviations; that of an effect's parameter
+        from its null in units of its spread."""
         columns = dict(zip(self.nuisances, eta.T, strict=True))
         none = np.zeros(len(eta))
         nominal = np.array([self.nominal[name] for name in STIFFNESSES])
@@ -89,7 +113,8 @@ class Simulator:
         for w in range(initial.shape[1]):
             for i, name in enumerate(("v_x", "v_y", "r")):
                 initial[:, w, i] += self.windows.x0_std[i] * columns.get(f"{name}_{w}", none)
-        return Draws(np.nan_to_num(stiffness * nominal)[:, None], inputs[:, None], initial)
+        effects = self.plausible.at(eta[:, eta.shape[1] - len(self.plausible) :])
+        return Draws(np.nan_to_num(stiffness * nominal)[:, None], inputs[:, None], initial, effects)
 
     def _random(self, rng: np.random.Generator) -> Draws:
         """One simulation's draws, with a leading axis of one."""
@@ -99,7 +124,13 @@ class Simulator:
         inputs = self.process.inputs.sample((1, draws, 2), rng)
         size = (1, *self.windows.x0.shape)
         spread = rng.uniform(-np.sqrt(3), np.sqrt(3), size) if self.uniform_start else rng.standard_normal(size)
-        return Draws(stiffness, inputs, self.windows.x0 + self.windows.x0_std * spread)
+        initial = self.windows.x0 + self.windows.x0_std * spread
+        return Draws(stiffness, inputs, initial, self.plausible.sample(rng))
+
+    def _records(self, theta: Float[np.ndarray, "n d"], effects: Float[np.ndarray, "n p"]) -> np.ndarray:
+        """Physical records with what is free and what the plausible effects have drawn."""
+        space = ParameterSpace((*self.space.parameters, *self.plausible.parameters))
+        return space.records(np.concatenate([theta, effects], axis=1), self.nominal)
 
     def run(
         self, theta: Float[np.ndarray, "n d"], draws: Draws, dtype: type[np.floating] = np.float64
@@ -108,7 +139,7 @@ class Simulator:
         y = np.empty((len(theta), *self.shape), dtype)
         outcomes = np.zeros(len(theta), np.int64)
         batch_simulator(self.model)(
-            self.space.records(theta, self.nominal),
+            self._records(theta, draws.effects),
             DRIVES[self.drive],
             GROUPS.index(self.windows.speed_group),
             self.windows.u,
@@ -137,8 +168,7 @@ class Simulator:
         if not len(index):
             return np.zeros((0, *self.shape), np.float32), np.zeros(0, np.int64)
         rngs = [generator(seed=self.seed, stream=stream, round=round, index=int(i)) for i in index]
-        single = [self._random(rng) for rng in rngs]
-        draws = Draws(*(np.concatenate([getattr(d, f) for d in single]) for f in ("stiffness", "inputs", "initial")))
+        draws = Draws.joined([self._random(rng) for rng in rngs])
         y, outcomes = self.run(theta, draws, np.float32)
         for row, rng in zip(y, rngs, strict=True):
             row += self.noise.std(row) * self.noise.sample(row.shape, rng)

@@ -1,7 +1,8 @@
 """A study: from what a user configured to a problem that can be inferred, synthetic or recorded."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -12,8 +13,11 @@ from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.data.windows import joined
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.estimator import DensityEstimator
 from vehicle_sbi.inference.features import Features
+from vehicle_sbi.inference.plausible import PLAUSIBLE, plausible, sentence
+from vehicle_sbi.inference.prior import stated
 from vehicle_sbi.inference.rounds import Problem
 from vehicle_sbi.inference.setup import Setup, noise_under_model
 from vehicle_sbi.inference.simulator import Simulator, succeeded
@@ -26,7 +30,8 @@ from vehicle_sbi.rng import Stream, generator
 class Study(Setup):
     """What one run infers: a vehicle's free parameters from a recording, or from a manoeuvre with a drawn truth.
 
-    In a synthetic study `truth` (by name) is observed, or a truth drawn from the prior.
+    In a synthetic study `truth` (by name) is observed, or a truth drawn from the prior. With `effects` "plausible" all
+    that can act of what the prior does not name is drawn from `effect_prior` in each simulation, the observed one too.
     """
 
     recording: RecordingFile | Synthetic
@@ -34,6 +39,8 @@ class Study(Setup):
     estimator: DensityEstimator
     training: Training
     truth: Mapping[str, float] | None
+    effect_prior: EffectPrior = field(default_factory=EffectPrior)
+    instead: ClassVar[tuple[str, ...]] = (PLAUSIBLE,)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -51,7 +58,7 @@ class Study(Setup):
             raise InputError(f"drive={self.drive}: a synthetic manoeuvre states torques; it needs drive=torque")
         windows = source.manoeuvre.windows(self.vehicle)
         space = self.space(windows)
-        simulator = self.simulator(space, windows, uniform_start=True)
+        simulator = self._freed(self.simulator(space, windows, uniform_start=True))
         truth = self._truth(space)
         y, outcomes = simulator.simulate(truth[None], np.array([1]), stream=Stream.TRUTH)
         if not succeeded(outcomes)[0]:
@@ -62,13 +69,19 @@ class Study(Setup):
     def _recorded(self, source: RecordingFile) -> "Prepared":
         recording = source.load()
         windows = joined([self.windows(recording, source)], [recording.name])  # whose clock begins with what is used
-        simulator = self.simulator(self.space(windows), windows, uniform_start=False)
+        simulator = self._freed(self.simulator(self.space(windows), windows, uniform_start=False))
         observed = np.where(windows.valid, windows.y, 0.0)
         if isinstance(self.noise, EstimatedNoise) and self.noise.model_residual:
             simulator = simulator.with_noise(noise_under_model(simulator, observed, windows))
         return Prepared(
             f"{self.vehicle.name} from {recording.name}", self._problem(simulator, observed), None, recording
         )
+
+    def _freed(self, simulator: Simulator) -> Simulator:
+        """The simulator with the plausible effects, if they are asked for."""
+        if self.effects != PLAUSIBLE:
+            return simulator
+        return replace(simulator, plausible=plausible(simulator, self.effect_prior, stated(self.prior)))
 
     def _problem(self, simulator: Simulator, observed: Float[np.ndarray, "channels time"]) -> Problem:
         return Problem(simulator, observed, self.features, self.estimator, self.training)
@@ -90,8 +103,10 @@ class Prepared:
 
     @property
     def notes(self) -> list[str]:
-        """What was filled or left out on the way from file to windows."""
-        return list(self.problem.simulator.windows.notes)
+        """Which plausible effects were free, and what was filled or left out on the way from file to windows."""
+        simulator = self.problem.simulator
+        free = [sentence(simulator.plausible)] if len(simulator.plausible) else []
+        return [*free, *simulator.windows.notes]
 
     @property
     def warnings(self) -> tuple[str, ...]:

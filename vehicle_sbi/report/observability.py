@@ -46,7 +46,7 @@ def observability(prepared: Prepared) -> tuple[pd.DataFrame, list[str]]:
 
 def left_out(prepared: Prepared) -> tuple[pd.DataFrame, list[str]]:
     """A row of text per effect that is not fitted, and what is to be said of them together."""
-    found = card(prepared.problem.simulator, point(prepared))
+    found = card(prepared.problem.simulator.alone, point(prepared))
     return could_show(found), hidden(found)
 
 

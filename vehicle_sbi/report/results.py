@@ -46,7 +46,9 @@ def results(prepared: Prepared, inference: Inference, *, samples: int) -> Result
     drawn = draw(inference.posterior, simulator.space, samples)
     at = drawn.mean(axis=0) if prepared.truth is None else prepared.truth
     space, F = simulator.space, fisher(simulator, at)
-    table = posterior_table(space, drawn, true=prepared.truth, bound_std=bound_std(F, space.prior_std))
+    alone = bound_std(fisher(simulator.alone, at), space.prior_std) if len(simulator.plausible) else None
+    bound = bound_std(F, space.prior_std)
+    table = posterior_table(space, drawn, true=prepared.truth, bound_std=bound, bound_std_alone=alone)
     pairs = [(space.names[i], space.names[j], r) for i, j, r in confusable(F, space.prior_std)]
     return Results(drawn, table, predictive(simulator, prepared.problem.observed, drawn), pairs)
 

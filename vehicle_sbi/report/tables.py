@@ -26,6 +26,7 @@ COLUMNS = (
     "parameter", "unit", "prior_low", "prior_high", "true", "mean", "std", "q05", "q50", "q95",
     "bound_std", "contraction", "identified",
 )  # fmt: skip
+WIDENED = ("bound_std_alone", "bound_widened", "std_over_bound_alone")  # with plausible effects free
 NOT_IDENTIFIED = "not identified by this recording"
 # 1 - (posterior std / prior std)^2 from which the posterior is no longer just the prior: std below 0.87 of the prior's.
 # The contraction of an untouched uniform prior scatters by 0.03 over 1000 samples, so chance does not reach it, and an
@@ -46,10 +47,12 @@ def posterior_table(
     *,
     true: Float[np.ndarray, " d"] | None = None,
     bound_std: Float[np.ndarray, " d"],
+    bound_std_alone: Float[np.ndarray, " d"] | None = None,
 ) -> pd.DataFrame:
     """One row per parameter, `COLUMNS`; a truth that is not known is NaN, a bound where nothing is knowable inf.
 
-    A bound that was not computed is NaN; contraction alone then decides what is identified.
+    A bound that was not computed is NaN; contraction alone then decides what is identified. With the bound of a model
+    without plausible effects, `bound_std_alone`, there are columns `WIDENED` too.
     """
     q05, q50, q95 = np.quantile(samples, (0.05, 0.5, 0.95), axis=0)
     std = samples.std(axis=0, ddof=1)
@@ -69,7 +72,15 @@ def posterior_table(
         "contraction": contraction,
         "identified": (contraction >= IDENTIFIED_CONTRACTION) & ~(bound_std >= space.prior_std),
     }
-    return pd.DataFrame(columns, columns=list(COLUMNS))
+    table = pd.DataFrame(columns, columns=list(COLUMNS))
+    return table if bound_std_alone is None else table.assign(**_widened(table, bound_std_alone))
+
+
+def _widened(table: pd.DataFrame, alone: Float[np.ndarray, " d"]) -> dict[str, np.ndarray]:
+    """`WIDENED`: by which factor plausible effects widen the bound, and the posterior over the bound without them; NaN
+    where the recording tells nothing even without them."""
+    finite = np.where(np.isfinite(alone), alone, np.nan)
+    return dict(zip(WIDENED, (alone, table["bound_std"] / finite, table["std"] / finite), strict=True))
 
 
 def nominal_table(
@@ -130,11 +141,22 @@ def for_people(table: pd.DataFrame) -> pd.DataFrame:
             for low, high, std in zip(table["q05"], table["q95"], table["std"], strict=True)
         ],
         "bound": [rounded(bound, bound) for bound in table["bound_std"]],
+        **_widened_for_people(table),
         "contraction": [_contraction(value) for value in table["contraction"]],
         "identified": np.where(table["identified"].astype(bool), "yes", NOT_IDENTIFIED),
     }
     people = pd.DataFrame(shown)
     return people.drop(columns="true") if table["true"].isna().all() else people
+
+
+def _widened_for_people(table: pd.DataFrame) -> dict[str, list[str]]:
+    """What plausible effects cost, as factors, where the table has it."""
+    heads = {"bound_widened": "bound wider by", "std_over_bound_alone": "std / bound without effects"}
+    return {head: [_factor(value) for value in table[key]] for key, head in heads.items() if key in table}
+
+
+def _factor(value: float) -> str:
+    return "" if np.isnan(value) else "∞" if np.isinf(value) else f"{value:.3g}" if value >= 100 else f"{value:.2g}"
 
 
 def _contraction(value: float) -> str:
