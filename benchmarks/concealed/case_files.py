@@ -23,6 +23,7 @@ def overrides(case: Path, given: Given, recordings: Sequence[str], heldout: Sequ
         f"recordings=[{','.join(str(case / name) for name in recordings)}]",
         f"heldout=[{','.join(str(case / name) for name in heldout)}]",
         f"vehicle={case / 'vehicle.yaml'}",
+        f"effect_prior={given.effect_prior}",
         f"model={given.model}",
         f"window_s={WINDOW_S:g}",
         f"warmup_s={WARMUP_S:g}",

@@ -18,7 +18,7 @@ from vehicle_sbi.data.readers import read
 from vehicle_sbi.data.windows import joined
 from vehicle_sbi.files import write_text
 from vehicle_sbi.mismatch.case import halves
-from vehicle_sbi.mismatch.examine import Model
+from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.fit import Fit, Observation, linearise
 from vehicle_sbi.mismatch.improve import predict
 from vehicle_sbi.parameters import ParameterSpace
@@ -46,7 +46,7 @@ def errors(case: Path, truth: Mapping[str, Any]) -> dict[str, float]:
     theta = np.array([*(effects.get(name, base.get(name)) for name in space.names), *added.values()], dtype=float)
     simulator = replace(observation.simulator, space=ParameterSpace((*space.parameters, *added)))
     knowing = Fit(observation.extended(simulator), theta, linearise(simulator, theta))
-    predicted = predict(Model((), knowing, 0.0), observation, apart=False)
+    predicted = predict(Model((), knowing, ()), observation, apart=False)
     if predicted is None:
         raise RuntimeError("the truth cannot be simulated in the held-out recordings")
     return predicted.nrmse

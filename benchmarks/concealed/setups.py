@@ -87,7 +87,14 @@ def _given(
         prior["steering_ratio.gain"] = 0.85, 1.18
     prior = {name: (float(f"{low:.5g}"), float(f"{high:.5g}")) for name, (low, high) in prior.items()}
     vehicle = replace(truth, name="car", **{name: float(f"{value:.5g}") for name, value in stated.items()})
-    given = Given(vehicle=vehicle, model=model, drive=drive, channels=tuple(channels), prior=prior)
+    given = Given(
+        vehicle=vehicle,
+        model=model,
+        drive=drive,
+        channels=tuple(channels),
+        prior=prior,
+        effect_prior="one_thing",
+    )
     return given, np.array([true[name] for name in prior])
 
 

@@ -31,7 +31,10 @@ NONE = Mixture(np.zeros(0), np.zeros(0))
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """What the tool is told besides the recordings: the car, the model, what drives it, what is measured and fitted."""
+    """What the tool is told besides the recordings: the car, the model, what drives it, what is measured and fitted.
+
+    `effect_prior` names what is believed before of how often things are missing.
+    """
 
     vehicle: Vehicle
     model: str
@@ -39,6 +42,7 @@ class Given:
     channels: tuple[str, ...]
     prior: Mapping[str, tuple[float, float]]
     v_min: float = 1.0
+    effect_prior: str = "passenger_car"
 
     def simulator(self, recordings: Sequence[Recording], noise: "Noise | None" = None) -> Simulator:
         """The base model over the windows of all recordings at once."""

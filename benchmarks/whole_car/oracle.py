@@ -20,10 +20,9 @@ from vehicle_sbi.data.windows import joined
 from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.case import halves
-from vehicle_sbi.mismatch.examine import Model
+from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.fit import Fit, Observation, descend, with_own_noise
 from vehicle_sbi.mismatch.improve import predict
-from vehicle_sbi.mismatch.verdict import estimates
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 
@@ -42,10 +41,10 @@ def knowing(case: Path, truth: Mapping[str, Any]) -> dict[str, Any] | None:
     if fit is None:
         return None
     fit = with_own_noise(fit)
-    predicted = predict(Model((), fit, 0.0), _held_out(case, fit, content["heldout"]), apart=True)
+    predicted = predict(Model((), fit, ()), _held_out(case, fit, content["heldout"]), apart=True)
     if predicted is None:
         return None
-    found = estimates(Model((), fit, 0.0))
+    found = Model((), fit, ()).estimates
     return {
         "nrmse": predicted.nrmse,
         "parameters": {n: {"mean": e.mean, "std": e.std, "q05": e.q05, "q95": e.q95} for n, e in found.items()},

@@ -7,7 +7,7 @@ import pandas as pd
 from measures import Measure, listed, mean, median, rms, shown, without_answer
 
 from vehicle_sbi.report.tables import markdown
-from whole_car.scores import NAMED, STRONG, AtOnce, Parameters, Scored
+from whole_car.scores import NAMED, STRONG, Parameters, Scored
 
 BINS = 10  # of stated probabilities
 OWN = "this project"
@@ -35,11 +35,6 @@ def _base(when: str, what: str) -> Callable[[Scored], np.ndarray]:
 
 def _unknown(outside: bool) -> Callable[[Scored], np.ndarray]:
     return lambda one: listed(one.p_unknown) > NAMED if bool(one.outside) == outside else np.zeros(0)
-
-
-def _at_once(what: Callable[[AtOnce], np.ndarray], shape: tuple[int, ...] = (0,)) -> Callable[[Scored], np.ndarray]:
-    """Of what is said where every effect is free at once; nothing, of a shape, if that was not asked."""
-    return lambda one: np.zeros(shape) if one.at_once is None else what(one.at_once)
 
 
 BASE = (("before", "base model"), ("after", "after diagnosis"), ("oracle", "oracle"))
@@ -73,22 +68,6 @@ MEASURES: tuple[Measure[Scored], ...] = (
         calibration, "0.05", "0.03",
     ),
     Measure("the same, of all effects of the catalogue", lambda one: one.inclusion, calibration),
-    Measure(
-        f"every effect free at once: of SNR {STRONG:g} beyond all others, above {NAMED}",
-        _at_once(lambda x: np.array(list(x.strong.values())) > NAMED), mean,
-    ),
-    Measure(
-        "every effect free at once: the same, or of what cannot be told from it",
-        _at_once(lambda x: np.array(list(x.alike.values())) > NAMED), mean,
-    ),
-    Measure(
-        f"every effect free at once: names above {NAMED} that are not there, a case",
-        _at_once(lambda x: listed(len(x.wrong))), mean,
-    ),
-    Measure(
-        "every effect free at once: calibration error of probabilities above 0",
-        _at_once(lambda x: x.inclusion[x.inclusion[:, 0] > 0.0], (0, 2)), calibration,
-    ),
     Measure(
         "sizes of named effects: 90 % intervals hold", lambda one: one.sizes, mean, "0.85", "0.90"),
     Measure(

@@ -31,17 +31,6 @@ class Parameters:
     in_std: np.ndarray
 
 
-@dataclass(frozen=True)
-class AtOnce:
-    """The same of names where every effect is free at once: probabilities of effects that should be named, of each or
-    what cannot be told from it; what is named and not there; probabilities and whether true."""
-
-    strong: Mapping[str, float]
-    alike: Mapping[str, float]
-    wrong: Sequence[str]
-    inclusion: np.ndarray
-
-
 @dataclass(frozen=True, kw_only=True)
 class Scored:
     """One case by one method; arrays that have nothing to say are empty."""
@@ -64,7 +53,6 @@ class Scored:
     reducible: float = 0.0
     accepted: bool | None = None
     p_unknown: float | None = None
-    at_once: AtOnce | None = None
     seconds: float | None = None
 
 
@@ -78,8 +66,7 @@ def from_line(line: str) -> Scored:
     for name in ("before", "after", "oracle"):
         if content[name] is not None:
             content[name] = Parameters(**{key: np.array(x) for key, x in content[name].items()})
-    if content.get("at_once"):
-        content["at_once"] = AtOnce(**content["at_once"] | {"inclusion": np.array(content["at_once"]["inclusion"])})
+    content.pop("at_once", None)  # of an earlier version
     inclusion = np.array(content.pop("inclusion")).reshape(-1, 2)
     return Scored(**content | {"inclusion": inclusion, "sizes": np.array(content["sizes"])})
 
@@ -161,17 +148,8 @@ def scored(folder: Path, index: int, diagnosis: str) -> Scored | None:
         reducible=reducible,
         accepted=fit.get("accepted", fit.get("extended") is not None),
         p_unknown=float(verdict["p_unknown"]),
-        at_once=_at_once(truth, case, verdict.get("whatever_else") or {}),
         seconds=json.loads(spent.read_text())["seconds"] if spent.exists() else None,
     )
-
-
-def _at_once(truth: Json, case: Path, said: Mapping[str, float]) -> AtOnce | None:
-    """What is said where every effect is free at once, if that was asked."""
-    if not said:
-        return None
-    found = _naming(truth, case, said)
-    return AtOnce(found["strong"], found["alike"], found["wrong"], _inclusion(truth, said))
 
 
 def _by_simpler(folder: Path, index: int, method: str) -> Scored | None:

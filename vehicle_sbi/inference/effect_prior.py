@@ -17,7 +17,11 @@ Entry = Sequence[float]  # [rate, size in the parameter's unit]
 @dataclass(frozen=True, kw_only=True)
 class EffectPrior:
     """`table[effect][parameter]` is [rate, size]; a parameter that is not listed has `rate`, and as its size a `share`
-    of how far its box reaches from the null.
+    of how far its box reaches from the null. `equally` is a rate in the place of all others.
+
+    An effect that is missing has a size of `slabs` typical ones, a standard deviation each with its share, else one of
+    a `negligible` part. What no effect stands for, a discrepancy, may be in each load, the steering and each sensor
+    with probability `discrepancy`, half normal with a `scale` of the largest that is thought of.
 
     Raises InputError for an unknown name, a rate that is no probability above 0 and below 1, or a size not above 0.
     """
@@ -25,6 +29,11 @@ class EffectPrior:
     table: Mapping[str, Mapping[str, Entry]] = field(default_factory=dict)
     rate: float = 0.03
     share: float = 0.1
+    equally: float | None = None
+    slabs: Sequence[Entry] = ((0.6, 0.85), (1.5, 0.15))
+    negligible: float = 0.1
+    discrepancy: float = 0.9
+    scale: float = 0.1
 
     def __post_init__(self) -> None:
         for effect, entries in self.table.items():
@@ -36,6 +45,10 @@ class EffectPrior:
                     raise unknown("parameter", key, known, f"effect_prior.table.{effect}")
                 _check(entry, f"effect_prior.table.{effect}.{key}")
         _check((self.rate, self.share), "effect_prior: [rate, share]")
+        _check((self.rate if self.equally is None else self.equally, self.share), "effect_prior: [equally, share]")
+        _check((self.discrepancy, self.scale), "effect_prior: [discrepancy, scale]")
+        if not (self.slabs and all(len(slab) == 2 and min(slab) > 0 for slab in self.slabs) and self.negligible > 0):
+            raise InputError("effect_prior: slabs are pairs [size, share] above 0, as is negligible")
 
     def lists(self, p: Parameter) -> bool:
         """Whether the table has it."""
@@ -44,7 +57,8 @@ class EffectPrior:
     def rate_of(self, p: Parameter) -> float:
         """Probability that a car has it noticeably."""
         entry = self._entry(p)
-        return self.rate if entry is None else float(entry[0])
+        rate = self.rate if entry is None else float(entry[0])
+        return rate if self.equally is None else self.equally
 
     def size_of(self, p: Parameter) -> float:
         """Its typical distance from the null [its unit]; `p` has the box of a car of this size, by which sizes of

@@ -4,48 +4,25 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from vehicle_sbi.inference.directions import SPAN
-from vehicle_sbi.mismatch.latent import Latent
+from vehicle_sbi.mismatch.estimation.estimate import Estimate
+from vehicle_sbi.mismatch.examine import Place
 from vehicle_sbi.mismatch.locate import Stretch, spoken
-from vehicle_sbi.rounding import mean_and_std
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where simulation and recording differ: times [s] of what is used of the recordings, one after another, and
-    `within` each of them."""
-
-    channel: str
-    from_s: float
-    to_s: float
-    p_value: float
-    share_of_misfit: float
-    regime: str
-    within: list[Stretch]
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A parameter's posterior."""
-
-    mean: float
-    std: float
-    q05: float
-    q95: float
-    unit: str
 
 
 @dataclass(frozen=True)
 class Named:
-    """A set of effects, how probable it is that they are all that is missing, and that they and something unknown are,
-    the size of its parameters, how much likelier it makes the recordings that help to name (log likelihood), and when
-    in which recording those of its effects act that come and go, or have a profile over that time."""
+    """A set of effects, how probable it is that they are all that is missing, and that they and a discrepancy are.
+
+    `parameters` are those of its effects, `acts` says when in which recording those act that come and go, or have a
+    profile over that time.
+    """
 
     effects: tuple[str, ...]
     probability: float
     beside_unknown: float
     parameters: dict[str, Estimate]
-    foretold: float | None
     acts: dict[str, list[Stretch]]
+    foretold: None = None  # no longer told apart: recordings that help to name count in the probabilities
 
     @property
     def sizes(self) -> dict[str, Estimate]:
@@ -68,67 +45,55 @@ class Named:
 
 @dataclass(frozen=True)
 class Followed:
-    """A law outside the catalogue: a target that follows a signal of the drive, its size where the signal has its root
-    mean square, the effects that it stands beside, how probable it is, and, if it sets in at a moment, when in which
-    recording it acts and how uncertain [s] that moment is."""
+    """A law outside the catalogue: a target that follows a signal of the drive, its root mean square, the effects that
+    it stands beside, how probable any error of the target is, and the share of its course that the signal explains."""
 
     target: str
     signal: str
     size: Estimate
     effects: tuple[str, ...]
     probability: float
-    acts: list[Stretch]
-    start_std: float | None
-
-    @property
-    def sentence(self) -> str:
-        """The law, in words."""
-        beside = f" beside {listed(self.effects)}" if self.effects else ""
-        size = quantity("", self.size).removeprefix(" = ")
-        law = f"{self.target} that follows {self.signal}, {size} at its root mean square"
-        if self.acts:
-            law = f"{self.target} that {self.signal}, {size} {spoken(self.acts)} (it begins ± {self.start_std:.2g} s)"
-        return f"The likeliest law outside the catalogue{beside}: {law}."
+    share: float
 
 
 @dataclass(frozen=True)
 class Outgrown:
-    """Base parameters beyond the boxes (low, high) of their priors, the effects that they stand beside, and how
-    probable it is."""
+    """Base parameters at the bounds (low, high) of their priors, the effects that they stand beside, and in which part
+    of the draws they are there."""
 
     parameters: dict[str, Estimate]
     prior: dict[str, tuple[float, float]]
     effects: tuple[str, ...]
     probability: float
 
+
+@dataclass(frozen=True)
+class Latent:
+    """A force or an error over time: its mean in each stretch (from_s, to_s), the log likelihood that it gains, and
+    when it is largest."""
+
+    quantity: str
+    unit: str
+    from_s: list[float]
+    to_s: list[float]
+    size: list[float]
+    gain: float
+    within: list[Stretch]
+
     @property
-    def sentence(self) -> str:
-        """Where they would lie, in words."""
-        beside = f" beside {listed(self.effects)}" if self.effects else ""
-        boxes = {name: f"prior {low:.6g} to {high:.6g}" for name, (low, high) in self.prior.items()}
-        found = [f"{quantity(name, e)} ({boxes[name]})" for name, e in self.parameters.items()]
-        return (
-            f"Likelier than any law outside the catalogue{beside}: {' and '.join(found)}; the prior is too narrow, or "
-            "something that is not in the catalogue acts as if it were."
-        )
+    def largest(self) -> float:
+        return max(self.size, key=abs)
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """What is missing where no known effect is it: laws, the likeliest first, base parameters that would lie beyond
-    their priors, what load or error over time, and which known effects are likely to be missing beside it."""
+    """What is missing where no known effect is it: laws that it seems to follow, the one that shows most first, base
+    parameters at the bounds of their priors, which load or error over time, and the likeliest effects beside it."""
 
     effects: tuple[str, ...]
     laws: list[Followed]
     beyond_prior: list[Outgrown]
     over_time: Latent | None
-
-    @property
-    def sentence(self) -> str:
-        """The likeliest of them, and what it takes over time."""
-        likeliest = sorted([*self.laws, *self.beyond_prior], key=lambda one: -one.probability)
-        found: list[Followed | Outgrown | Latent] = [*likeliest[:1], *([self.over_time] if self.over_time else [])]
-        return " ".join(one.sentence for one in found)
 
 
 @dataclass(frozen=True)
@@ -152,37 +117,34 @@ class Visible:
 
 @dataclass(frozen=True)
 class Unsupported:
-    """A set of effects that would explain something, if one of its sizes could not as well be nothing."""
+    """An effect that may as well not be missing, how probable it is, and the sizes that it would have."""
 
     effects: tuple[str, ...]
     parameters: dict[str, Estimate]
-
-    @property
-    def sentence(self) -> str:
-        return f"{listed(self.effects)} would do best, but may as well be nothing ({self.sizes})."
-
-    @property
-    def sizes(self) -> str:
-        return "; ".join(quantity(name, e) for name, e in self.parameters.items())
+    probability: float
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the diagnosis says; its fields are those of verdict.json. `effects`: how probable it is that each of them is
-    missing, whatever else is; `whatever_else`: the same where every effect is free at once (empty where it was not
-    asked); `share_explained`: what the likeliest set explains of the squared score of all that was
-    found; `could_show` and `invisible`: which the recordings would have shown with a power of 80 %, and which they
-    could not; `cannot_act`: which change nothing here whatever their size, and why; `unsupported`: sets that are not
-    among the explanations because their sizes may as well be nothing, the likeliest first; `warnings`: those of the
-    notes that say why the base model's fit may not be relied on."""
+    """What the diagnosis says; its fields are those of verdict.json.
+
+    `headline` is the answer in a line, `lines` are at most five more, `sentence` all of them. `explanations`: sets of
+    effects, the likeliest first; `effects`: how probable it is that each is missing, whatever else is; `p_none`: that
+    nothing is, `p_unknown`: that there is a discrepancy which no effect stands for; `share_explained`: what the
+    likeliest set explains of the misfit; `indistinguishable`: groups of effects that stand for each other;
+    `could_show` and `invisible`: which the recordings would have shown with a power of 80 %, and which they could not;
+    `cannot_act`: which change nothing here whatever their size, and why; `unsupported`: effects that may as well not be
+    missing, the likeliest first; `warnings`: those of the notes that say why the base model's fit may not be relied on.
+    """
 
     schema: int
+    headline: str
+    lines: list[str]
     detected: bool
     p_value: float
     mismatch: list[Place]
     explanations: list[Named]
     effects: dict[str, float]
-    whatever_else: dict[str, float]
     p_none: float
     p_unknown: float
     share_explained: float | None
@@ -201,11 +163,6 @@ class Verdict:
 
     def as_json(self) -> dict[str, object]:
         return asdict(self)
-
-
-def quantity(name: str, e: Estimate) -> str:
-    """`body_roll.gradient = 0.0081 ± 0.0004 rad/(m/s^2)`."""
-    return f"{name} = {mean_and_std(e.mean, e.std)} {e.unit}".removesuffix(" 1")
 
 
 def listed(effects: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""The base model's fit, from many places: its prior, the vehicle file, off the rims, and where all effects are in.
+"""The base model's fit, from many places: its prior, the vehicle file, and off the rims.
 
 Where physics is missing, the likelihood has several optima, and the nearest one is often on the rims of the boxes.
 """
@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.fit import Fit, Observation, descend, with_own_noise
-from vehicle_sbi.mismatch.full_model import elsewhere
 from vehicle_sbi.mismatch.search import best
 from vehicle_sbi.parameters import Parameter
 
@@ -31,12 +30,6 @@ def fitted(observation: Observation, rng: np.random.Generator) -> Fit:
     misfit = np.nan_to_num(np.sum(off**2, axis=(1, 2)), nan=np.inf)
     fit = best(observation, np.concatenate([points[np.argsort(misfit)[:STARTS]], stated[None]]))
     return fit if fit.inside.all() else likelier(fit, [off_rims(fit)])
-
-
-def refitted(base: Fit, full: Fit | None) -> Fit:
-    """The base model's fit, also started from where the full model has its parameters."""
-    start = elsewhere(full, base)
-    return base if start is None else likelier(base, [start])
 
 
 def likelier(fit: Fit, starts: Sequence[Float[np.ndarray, " d"]]) -> Fit:

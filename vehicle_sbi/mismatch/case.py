@@ -14,7 +14,6 @@ from vehicle_sbi.data.windows import Windows, check_alike, joined, one_after_ano
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.setup import Setup
-from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.parameters import ParameterSpace
 
@@ -47,7 +46,6 @@ class Case:
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
     inputs: dict[str, str]
-    belief: Belief
     effect_prior: EffectPrior
 
 
@@ -62,7 +60,6 @@ class Diagnosis(Setup):
     recording: RecordingFile
     recordings: Sequence[str | RecordingFile]
     heldout: Sequence[str | RecordingFile]
-    belief: Belief
     effect_prior: EffectPrior = field(default_factory=EffectPrior)
 
     def prepare(self) -> Case:
@@ -106,7 +103,6 @@ class Diagnosis(Setup):
             notes=observation.simulator.windows.notes,
             warnings=warnings,
             inputs=inputs,
-            belief=self.belief,
             effect_prior=self.effect_prior,
         )
 

@@ -276,38 +276,63 @@ def descend(
     start: Float[np.ndarray, " d"],
     steps: int = MOST_STEPS,
     shrinkage: Shrinkage | None = None,
+    *,
+    secant: bool = False,
 ) -> Fit | None:
     """The optimum that Gauss-Newton finds from `start` under the noise as it is; None where the simulation fails."""
     fit = Fit(observation, start, linearise(observation.simulator, start), shrinkage)
-    return onwards(fit, steps) if np.isfinite(fit.at.y).all() else None
+    return onwards(fit, steps, secant=secant) if np.isfinite(fit.at.y).all() else None
 
 
-def onwards(fit: Fit, steps: int) -> Fit:
+def onwards(fit: Fit, steps: int, *, secant: bool = False) -> Fit:
     """From a fit to the optimum, as far as so many steps go.
 
-    What initial states do is taken from the start, which hardly depends on theta.
+    What initial states do is taken from the start, which hardly depends on theta. With `secant` derivatives are updated
+    by what each step has changed (Broyden 1965), and differences are simulated anew only once no step helps.
     """
-    observation, valid, pull = fit.observation, fit.simulator.windows.valid, fit.shrinkage
-    spread = fit.simulator.space.prior_std
-
-    def pulled(theta: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
-        return np.zeros(len(theta)) if pull is None else pull.cost(theta, spread)
-
+    fresh = True
     for _ in range(steps):
-        now, theta = (cost(fit.metric, fit.residual[None]) + pulled(fit.theta[None]))[0], None
-        for points in np.split(_steps(fit), [1]):  # the whole step, and only if that is too far shorter ones
-            y = observation.simulator.noise_free(points)
-            costs = cost(fit.metric, np.where(valid, observation.observed - y, 0.0)) + pulled(points)
-            if now - costs.min() >= CONVERGED:
-                theta = points[int(np.argmin(costs))]
-                break
-        if theta is None:
+        moved = _stepped(fit)
+        if moved is None and fresh:
             break
-        fit = Fit(observation, theta, linearise(observation.simulator, theta, fit.at.J_x), pull)
+        theta, y = (fit.theta, fit.at.y) if moved is None else moved
+        at = _updated(fit, theta, y) if secant and moved is not None else relinearised(fit, theta).at
+        fit, fresh = replace(fit, theta=theta, at=at), not secant or moved is None
     return fit
 
 
-def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS) -> Fit:
+def relinearised(fit: Fit, theta: Float[np.ndarray, " d"]) -> Fit:
+    """With differences about theta."""
+    return replace(fit, theta=theta, at=linearise(fit.simulator, theta, fit.at.J_x))
+
+
+def _stepped(fit: Fit) -> tuple[Float[np.ndarray, " d"], Series] | None:
+    """The whole Gauss-Newton step, and only if that is too far a shorter one: theta and the series there; None where
+    none of them gains enough."""
+    valid, pull, spread = fit.simulator.windows.valid, fit.shrinkage, fit.simulator.space.prior_std
+
+    def costs(theta: Float[np.ndarray, "n d"], y: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, " n"]:
+        pulled = 0.0 if pull is None else pull.cost(theta, spread)
+        return cost(fit.metric, np.where(valid, fit.observation.observed - y, 0.0)) + pulled
+
+    now = costs(fit.theta[None], fit.at.y[None])[0]
+    for points in np.split(_steps(fit), [1]):
+        y = fit.simulator.noise_free(points)
+        there = costs(points, y)
+        best = int(np.argmin(there))
+        if now - there[best] >= CONVERGED:
+            return points[best], y[best]
+    return None
+
+
+def _updated(fit: Fit, theta: Float[np.ndarray, " d"], y: Series) -> Linear:
+    """Derivatives that also hold for the step that was taken."""
+    step = (theta - fit.theta) / fit.simulator.space.prior_std
+    missed = y - fit.at.y - np.tensordot(step, fit.at.J, axes=1)
+    return replace(fit.at, y=y, J=fit.at.J + step[:, None, None] * missed / (step @ step))
+
+
+def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS, *, secant: bool = False) -> Fit:
     """The fit under the noise that it leaves over itself, both in turn until the noise stays; as is if it is known.
 
     What of it the sensors can have made is told by their fast scatter, whatever the model.
@@ -318,7 +343,8 @@ def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS
     for _ in range(rounds):
         before = fit.simulator.noise
         noise = replace(from_residual(fit.unexplained, fit.simulator.windows, MEMORY_S), sensor=sensor)
-        fit = onwards(replace(fit, observation=fit.observation.extended(fit.simulator.with_noise(noise))), steps)
+        fit = replace(fit, observation=fit.observation.extended(fit.simulator.with_noise(noise)))
+        fit = onwards(fit, steps, secant=secant)
         if np.allclose(noise.floor, before.floor, rtol=0.01) and np.allclose(noise.rho, before.rho, atol=0.005):
             break
     return fit

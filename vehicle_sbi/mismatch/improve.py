@@ -22,9 +22,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import norm, t
 
-from vehicle_sbi.mismatch.examine import Model
-from vehicle_sbi.mismatch.fit import Observation
-from vehicle_sbi.mismatch.foretell import elsewhere, in_std
+from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
+from vehicle_sbi.mismatch.estimation.model import Model
+from vehicle_sbi.mismatch.fit import Fit, Observation
 
 BLOCK_S = 2.0  # [s] of a block of the paired difference
 CONFIDENT = 0.9  # of the bounds on the gain
@@ -72,7 +72,7 @@ class Gain:
 def predict(model: Model, held_out: Observation, *, apart: bool) -> Prediction | None:
     """What the model makes of held-out recordings; `apart` says that they are others than it was fitted to. None where
     its simulation fails there."""
-    fit, there = model.fit, elsewhere(model, held_out, apart=apart)
+    fit, there = model.fit, elsewhere(model.fit, held_out, apart=apart)
     simulator, valid = there.simulator, there.simulator.windows.valid
     if not np.isfinite(there.at.y[valid]).all():
         return None
@@ -98,6 +98,13 @@ def predict(model: Model, held_out: Observation, *, apart: bool) -> Prediction |
         half_width=half,
         samples={name: int(valid[i].sum()) for i, name in seen},
     )
+
+
+def in_std(fit: Fit, J: Float[np.ndarray, "d channels time"]) -> Float[np.ndarray, "d channels time"]:
+    """Derivatives by parameters in units of the prior's spread, as those by a standard deviation of the posterior."""
+    spread = fit.simulator.space.prior_std
+    root = np.linalg.cholesky(fit.covariance / np.outer(spread, spread))
+    return np.tensordot(root.T, J, axes=1)
 
 
 def crps(error: Float[np.ndarray, "*n"], std: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

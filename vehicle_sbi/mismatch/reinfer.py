@@ -12,8 +12,7 @@ from vehicle_sbi.inference.features import Features
 from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.rounds import Problem, Scheme, infer
 from vehicle_sbi.inference.training import Training
-from vehicle_sbi.mismatch.examine import Model
-from vehicle_sbi.mismatch.explanation import Explanation
+from vehicle_sbi.mismatch.estimation.model import Model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,13 +24,6 @@ class Reinference:
     rounds: Scheme
     training: Training
     samples: int
-
-    def of(self, found: Explanation, checkpoints: Path) -> Explanation:
-        """With the posterior of the most probable set of effects, if anything is missing at all."""
-        if not (found.detected and found.models):
-            return found
-        likeliest, *others = found.models
-        return replace(found, models=[self.inferred(likeliest, checkpoints), *others])
 
     def inferred(self, model: Model, checkpoints: Path) -> Model:
         """The model with draws from its posterior; rounds that stand in `checkpoints` are not run again."""

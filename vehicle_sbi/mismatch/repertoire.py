@@ -1,8 +1,6 @@
 """All that a model could have left out, and what a little of each does to the series: effects, blocks and laws.
 
-The changes are simulated at the base model's fit. Extended models are near enough to it for what they leave over to be
-scored by the same changes, but for those whose parameters act otherwise where they are: these get changes of their own.
-What is then put into a model is simulated in full.
+The changes are simulated at the base model's fit.
 """
 
 from collections.abc import Sequence
@@ -50,13 +48,9 @@ class Inventory:
 
 @dataclass(frozen=True)
 class Repertoire:
-    """An inventory, and the change of the series per unit of each of its directions, blocks and laws about a fit.
-
-    `known` are the directions that act there, of which those of the inventory are shapes and steps.
-    """
+    """An inventory, and the change of the series per unit of each of its directions, blocks and laws about a fit."""
 
     about: Fit
-    known: Sequence[Direction]
     of: Inventory
     named: Float[np.ndarray, "directions channels time"]
     bumps: Float[np.ndarray, "blocks channels time"]
@@ -72,48 +66,21 @@ class Repertoire:
         given = laws(simulator, theta, y)
         ruled = law_slopes(simulator, theta, y, given)
         named = np.array([change for _, change in stepped]).reshape(-1, *y.shape)
-        return cls(fit, new, Inventory([d for d, _ in stepped], places, given), named, bumps, ruled)
+        return cls(fit, Inventory([d for d, _ in stepped], places, given), named, bumps, ruled)
 
     @property
     def changes(self) -> Float[np.ndarray, "k channels time"]:
         """Of directions, then blocks, then laws."""
         return np.concatenate([self.named, self.bumps, self.ruled])
 
-    def beyond(self, fit: Fit) -> "Repertoire":
-        """What a fit has not got; simulated anew where its parameters act otherwise than where this was."""
-        if _far(fit, self.about):
-            return Repertoire.around(fit, self.known)
-        return self._directed([not _fitted(fit, d) for d in self.of.directions])
-
-    def only(self, effects: set[str]) -> "Repertoire":
-        """Directions of some effects."""
-        kept = replace(self, known=[d for d in self.known if d.effect in effects])
-        return kept._directed([d.effect in effects for d in self.of.directions])
-
-    def _directed(self, kept: Sequence[bool]) -> "Repertoire":
-        left = replace(self.of, directions=list(compress(self.of.directions, kept)))
-        return replace(self, of=left, named=self.named[np.array(kept, dtype=bool)])
-
     def ruled_by(self, kept: Bool[np.ndarray, " n"]) -> "Repertoire":
         """With some of the laws alone."""
         return replace(self, of=replace(self.of, laws=list(compress(self.of.laws, kept))), ruled=self.ruled[kept])
-
-    def alone(self) -> "Repertoire":
-        """Directions without blocks and laws."""
-        return replace(self, of=replace(self.of, blocks=[], laws=[]), bumps=self.bumps[:0], ruled=self.ruled[:0])
 
 
 def _fitted(fit: Fit, direction: Direction) -> bool:
     """Whether a fit has any of a direction's parameters."""
     return bool({direction.parameter.name, *(p.name for p in direction.held)} & set(fit.simulator.space.names))
-
-
-def _far(fit: Fit, other: Fit) -> bool:
-    """Whether what the parameters that two fits share do differs by more than a part of it."""
-    names = fit.simulator.space.names, other.simulator.space.names
-    shared = [name for name in names[0] if name in names[1]]
-    here, there = (one.at.J[[own.index(name) for name in shared]] for one, own in zip((fit, other), names, strict=True))
-    return _differ(other, here, there)
 
 
 def _stepped(fit: Fit, known: Sequence[Direction]) -> list[tuple[Direction, Float[np.ndarray, "channels time"]]]:

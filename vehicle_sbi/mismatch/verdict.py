@@ -2,236 +2,233 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
-from scipy.stats import norm, truncnorm
 
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.inference.directions import SPAN
 from vehicle_sbi.mismatch.acceptance import judged
-from vehicle_sbi.mismatch.agreement import disagreeing
 from vehicle_sbi.mismatch.answer import (
-    Estimate,
     Followed,
+    Latent,
     Named,
     Outgrown,
-    Place,
     Score,
     Unknown,
     Unsupported,
     Verdict,
     Visible,
-    listed,
 )
-from vehicle_sbi.mismatch.beyond import Beyond
 from vehicle_sbi.mismatch.case import Case
-from vehicle_sbi.mismatch.examine import Model
+from vehicle_sbi.mismatch.estimation.estimate import Estimate, drawn
+from vehicle_sbi.mismatch.estimation.model import Model
+from vehicle_sbi.mismatch.examine import Examined
 from vehicle_sbi.mismatch.experiment import advice
-from vehicle_sbi.mismatch.explanation import Explanation, doubted
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.gate import Gate
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
 from vehicle_sbi.mismatch.improve import Gain, Prediction
-from vehicle_sbi.mismatch.latent import what_it_takes
-from vehicle_sbi.mismatch.laws import Law
-from vehicle_sbi.mismatch.locate import Stretch, lies_in, merged, own_time
-from vehicle_sbi.mismatch.loose import Loose
-from vehicle_sbi.mismatch.model_average import averaged
-from vehicle_sbi.mismatch.onset import Onset
+from vehicle_sbi.mismatch.locate import Stretch, clock, own_time, stretches
 from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
-from vehicle_sbi.mismatch.separability import Card
-from vehicle_sbi.mismatch.wording import SPOKEN_OF, distrusted, sentence
+from vehicle_sbi.mismatch.selection.extended import Extended, alternatives
+from vehicle_sbi.mismatch.separability import SEEN, Card
+from vehicle_sbi.mismatch.wording import headline, lines
 from vehicle_sbi.physics.effects import CATALOGUE
 
-SCHEMA = 1
-LISTED, DOUBTED = 40, 5  # explanations at most, and sets that may be nothing
-LIKELY = 0.02  # probability of sets, from which doubts about them are worth a note
+SCHEMA = 2
+LISTED = 40  # sets of effects at most
+FEWEST = 30  # draws of a set, from which its parameters are said by those alone
+NAMED = 0.5  # probability from which an effect is said to be missing
+LEAST = 0.05  # probability from which one that is not is listed
 CORNERED = 2  # base parameters on rims, from which the fit is said to be in a corner
 MISFIT = 2.0  # times the sensor's own noise, from which what is left over is worth a warning
+RIM, STUCK = 0.01, 0.2  # part of a box that counts as its bound, and of the draws there
 
 
-def estimates(model: Model, power: float = 1.0) -> dict[str, Estimate]:
-    """Posterior of every free parameter of a model: as it was drawn, else normal about the fit within its box, under
-    its likelihood to a power."""
-    fit, space = model.fit, model.fit.simulator.space
-    if model.posterior is not None:
-        return {p.name: _drawn(draws, p.unit) for p, draws in zip(space.parameters, model.posterior.T, strict=True)}
-    std, found = np.sqrt(np.diag(fit.tempered(power))), {}
-    for p, mean, s in zip(space.parameters, fit.theta, std, strict=True):
-        box = truncnorm((p.low - mean) / s, (p.high - mean) / s, loc=mean, scale=s)
-        low, high = box.ppf([0.05, 0.95])
-        found[p.name] = Estimate(float(box.mean()), float(box.std()), float(low), float(high), p.unit)
-    return found
+@dataclass(frozen=True)
+class Found:
+    """What the steps of a diagnosis have found, each from those before it."""
+
+    gate: Gate
+    examined: Examined
+    pruned: Pruned | None
+    extended: Extended
+    predictions: Mapping[str, Prediction]
+    gained: Gain | None
+    seen: Card
+
+    @property
+    def base(self) -> Model:
+        """The base model."""
+        return Model((), self.examined.fit, self.examined.fit.simulator.space.names)
 
 
-def _drawn(draws: Float[np.ndarray, " n"], unit: str) -> Estimate:
-    """A parameter's posterior from draws."""
-    low, high = np.quantile(draws, [0.05, 0.95])
-    return Estimate(float(draws.mean()), float(draws.std()), float(low), float(high), unit)
-
-
-def places(explanation: Explanation) -> list[Place]:
-    """Blocks in which the base model leaves more than noise would, the largest first."""
-    free, scores = explanation.base.free, explanation.base.scores
-    z, p = scores.z[free.of_blocks], scores.p_values[free.of_blocks]
-    significant = np.flatnonzero(p < 0.05)
-    whole = merged([free.blocks[k] for k in significant], z[significant])
-    total = sum(energy for _, energy in whole)
-    smallest = {place: min(float(p[k]) for k in significant if place.holds(free.blocks[k])) for place, _ in whole}
-    simulator = explanation.base.model.fit.simulator
-    return [
-        Place(b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime, lies_in(simulator, b))
-        for b, energy in whole
-    ]
-
-
-def _named(explanation: Explanation, k: int) -> Named:
-    model = explanation.models[k]
-    every = estimates(model, explanation.temper).items()
-    own = {name: value for (name, value), mine in zip(every, model.own, strict=True) if mine}
-    beside = explanation.beside_unknown.get(model.effects, 0.0)
-    foretold = None if explanation.p_told is None else model.told
-    return Named(model.effects, explanation.probability[k], beside, own, foretold, _acts(model, own))
-
-
-def _unsupported(model: Model, power: float) -> Unsupported:
-    own = zip(estimates(model, power).items(), model.own, strict=True)
-    return Unsupported(model.effects, {name: value for (name, value), mine in own if mine})
-
-
-def _acts(model: Model, own: Mapping[str, Estimate]) -> dict[str, list[Stretch]]:
-    """When each effect that is tied to the clock acts: a profile throughout, what comes and goes from the median of
-    when it begins to that of when it ends."""
-    space, found = model.fit.simulator.space, dict[str, list[Stretch]]()
-    draws = model.fit.theta[None] if model.posterior is None else model.posterior
-    for effect in (name for name in model.effects if CATALOGUE[name].timed):
-        start, stop = 0.0, np.inf
-        if all(f"{effect}.{key}" in own for key in SPAN):
-            begun, lasting = (draws[:, space.column(f"{effect}.{key}")] for key in SPAN)
-            start, stop = float(np.median(begun)), float(np.median(begun + lasting))
-        found[effect] = own_time(model.fit.simulator, start, stop)
-    return found
-
-
-def verdict(
-    case: Case,
-    passed: Gate,
-    explanation: Explanation,
-    predictions: Mapping[str, Prediction],
-    gained: Gain | None,
-    seen: Card,
-    pruned: Pruned | None = None,
-) -> Verdict:
+def verdict(case: Case, found: Found) -> Verdict:
     """Everything that the diagnosis found, put into the answer's form."""
-    model = chosen(explanation)
-    before, after = estimates(explanation.base.model, explanation.temper), averaged(explanation)
-    if pruned is not None:
-        after = {p.name: _drawn(pruned.draws(p.name), p.unit) for p in pruned.expansion.base}
-    accepted = None if model is explanation.base.model else judged(case.observation, case.held_out, predictions, gained)
-    together = explanation.indistinguishable() if explanation.detected else []
-    unknown = _unknown(explanation) if explanation.p_unknown > SPOKEN_OF else None
-    covered = predictions["base"].coverage90 if "base" in predictions else 0.0
+    model, pruned, detected = found.extended.model, found.pruned, found.examined.detected
+    before = found.base.estimates
+    after = {p.name: drawn(pruned.draws(p.name), p.unit) for p in pruned.expansion.base} if pruned else before
+    accepted = judged(case.observation, case.held_out, found.predictions, found.gained) if model.effects else None
     fit: dict[str, object] = {"heldout": list(case.held_out_names)}
-    fit |= {name: asdict(_score(prediction)) for name, prediction in predictions.items()}
-    if gained is not None:
-        fit["gain_log_score"] = asdict(gained)
-    if accepted is not None:
-        fit |= {"accepted": accepted.accepted, "accepted_because": accepted.because}
-    found = [_named(explanation, k) for k in range(min(len(explanation.models), LISTED))]
-    mismatch = places(explanation) if explanation.detected else []
-    rest = sum(explanation.probability[LISTED:])
-    models = {"base": explanation.base.model, "extended": model}
-    on_rims = {called: _rim(one, called) for called, one in models.items() if called == "base" or one.effects}
-    cornered = [line for called, lines in on_rims.items() for line in _cornered(lines, called)]
-    misfit = _misfit(explanation.base.model.fit)
-    warnings = [*case.warnings, *cornered, *passed.notes, *itertools.chain(*on_rims.values()), *misfit]
-    doubtful = [_unsupported(model, explanation.temper) for model in explanation.doubtful[:DOUBTED]]
-    said = sentence(explanation, found, doubtful, mismatch, together, unknown, accepted, seen, covered)
-    return Verdict(
+    fit |= {name: asdict(_score(prediction)) for name, prediction in found.predictions.items()}
+    fit |= {} if found.gained is None else {"gain_log_score": asdict(found.gained)}
+    fit |= {} if accepted is None else {"accepted": accepted.accepted, "accepted_because": accepted.because}
+    warnings = [*case.warnings, *_warnings(found)]
+    answer = Verdict(
         schema=SCHEMA,
-        detected=explanation.detected,
-        p_value=explanation.p_value,
-        mismatch=mismatch,
-        explanations=found,
-        effects=explanation.single,
-        whatever_else={} if pruned is None else pruned.effects,
-        p_none=explanation.p_none,
-        p_unknown=explanation.p_unknown + rest,
-        share_explained=_share_explained(explanation),
-        unknown=unknown,
-        indistinguishable=exchangeable(together),
-        separating_experiment=_advice(explanation, together),
+        headline="",
+        lines=[],
+        detected=detected,
+        p_value=found.examined.p_value,
+        mismatch=found.examined.places,
+        explanations=_explanations(pruned, model),
+        effects=pruned.effects if pruned else {},
+        p_none=_p_none(pruned, detected),
+        p_unknown=float(pruned.unexplained.mean()) if pruned else float(detected),
+        share_explained=_share_explained(found.base.fit, model.fit) if model.effects else None,
+        unknown=_unknown(pruned) if pruned and detected else None,
+        indistinguishable=alternatives(pruned) if pruned and detected else [],
+        separating_experiment=advice(model, found.extended.other) if found.extended.other else "",
         fit=fit,
         base_parameters={
             name: {"before": _plain(before[name]), "after": _plain(after[name]), "unit": before[name].unit}
             for name in before
         },
-        could_show={name: Visible(c.parameter.name, c.size, c.parameter.unit) for name, c in seen.could_show().items()},
-        invisible=seen.invisible(),
-        cannot_act=seen.cannot_act,
-        unsupported=doubtful,
+        could_show={
+            name: Visible(c.parameter.name, c.size, c.parameter.unit) for name, c in found.seen.could_show().items()
+        },
+        invisible=found.seen.invisible(),
+        cannot_act=found.seen.cannot_act,
+        unsupported=_unsupported(pruned) if pruned and detected else [],
         warnings=warnings,
-        notes=[*warnings, *_doubts(explanation), *_unpredicted(explanation, predictions), *case.notes],
-        sentence=said if passed.trusted and not _cornered(on_rims["base"], "base") else distrusted(said),
+        notes=[*warnings, *_unpredicted(found), *case.notes],
+        sentence="",
     )
+    return _in_words(answer, found, trusted=found.gate.trusted and not _cornered(_rim(found.base, "base"), "base"))
 
 
-def _share_explained(explanation: Explanation) -> float | None:
-    """By the likeliest set, where that is the one that was examined."""
-    best = explanation.best
-    return best.share_explained if chosen(explanation).effects == best.model.effects and explanation.detected else None
+def _in_words(answer: Verdict, found: Found, *, trusted: bool) -> Verdict:
+    """The answer with its headline, the lines after it and both as one text."""
+    said, more = headline(answer, trusted=trusted), lines(answer, found.seen, found.predictions)
+    return replace(answer, headline=said, lines=more, sentence=" ".join([said, *more]))
 
 
-def _unpredicted(explanation: Explanation, predictions: Mapping[str, Prediction]) -> list[str]:
+def _p_none(pruned: Pruned | None, detected: bool) -> float:
+    if pruned is None:
+        return float(not detected)
+    return float((pruned.sets.get((), np.zeros(len(pruned.theta), dtype=bool)) & ~pruned.unexplained).mean())
+
+
+def _explanations(pruned: Pruned | None, model: Model) -> list[Named]:
+    """Sets of effects that were drawn, the likeliest first."""
+    sets = [*(pruned.sets.items() if pruned else ())]
+    return [_named(pruned, effects, drawn, model) for effects, drawn in sets if effects][:LISTED] if pruned else []
+
+
+def _named(pruned: Pruned, effects: tuple[str, ...], rows: np.ndarray, model: Model) -> Named:
+    alone, beside = float((rows & ~pruned.unexplained).mean()), float((rows & pruned.unexplained).mean())
+    own = _parameters(pruned, effects, rows)
+    if model.posterior is not None and effects == model.effects:
+        own = {name: e for (name, e), mine in zip(model.estimates.items(), model.own, strict=True) if mine}
+    return Named(effects, alone, beside, own, _acts(pruned, effects))
+
+
+def _parameters(pruned: Pruned, effects: Sequence[str], rows: np.ndarray) -> dict[str, Estimate]:
+    """Of a set's effects the parameters that are away from their nulls in it, from its own draws if they suffice."""
+    space, expansion = pruned.fit.simulator.space, pruned.expansion
+    names = [p.name for p in expansion.sizes]
+    found = dict[str, Estimate]()
+    for p in (*expansion.sizes, *expansion.shapes):
+        if p.name.split(".")[0] not in effects:
+            continue
+        there = pruned.included[:, names.index(p.name)] if p.name in names else pruned.missing[p.name.split(".")[0]]
+        if p.name in names and there[rows].mean() <= NAMED:
+            continue
+        chosen = rows & there if (rows & there).sum() >= FEWEST else there
+        found[p.name] = drawn(pruned.theta[chosen, space.column(p.name)], p.unit)
+    return found
+
+
+def _acts(pruned: Pruned, effects: Sequence[str]) -> dict[str, list[Stretch]]:
+    """When each effect that is tied to the clock acts: a profile throughout, what comes and goes from the median of
+    when it begins to that of when it ends."""
+    space, found = pruned.fit.simulator.space, dict[str, list[Stretch]]()
+    for effect in (name for name in effects if CATALOGUE[name].timed):
+        start, stop = 0.0, np.inf
+        if all(f"{effect}.{key}" in space.names for key in SPAN):
+            there = pruned.missing[effect]
+            begun, lasting = (pruned.theta[there, space.column(f"{effect}.{key}")] for key in SPAN)
+            start, stop = float(np.median(begun)), float(np.median(begun + lasting))
+        found[effect] = own_time(pruned.fit.simulator, start, stop)
+    return found
+
+
+def _unsupported(pruned: Pruned) -> list[Unsupported]:
+    """Effects that are neither likely to be missing nor sure not to be."""
+    doubtful = [(name, p) for name, p in pruned.effects.items() if LEAST <= p <= NAMED]
+    return [Unsupported((name,), _parameters(pruned, [name], pruned.missing[name]), p) for name, p in doubtful]
+
+
+def _share_explained(base: Fit, extended: Fit) -> float:
+    """Of the misfit beyond the extended model's noise, in its units, what it takes away."""
+    samples = float(base.simulator.windows.valid.sum())
+    before, after = (float(np.sum(extended.metric(fit.residual) ** 2)) for fit in (base, extended))
+    return float(np.clip(1.0 - (after - samples) / max(before - samples, 1e-12), 0.0, 1.0))
+
+
+def _unknown(pruned: Pruned) -> Unknown | None:
+    """What no effect stands for, as far as the recordings show it, and base parameters that are stuck at a bound."""
+    effects = next(iter(pruned.sets))
+    shown = [one for one in pruned.remainders if one.shown >= SEEN]
+    laws = [_law(one, effects) for one in shown]
+    outgrown = _outgrown(pruned, effects)
+    if not laws and not outgrown:
+        return None
+    return Unknown(effects, laws, outgrown, _over_time(pruned.fit, shown[0]) if shown else None)
+
+
+def _law(one: Remainder, effects: tuple[str, ...]) -> Followed:
+    size = drawn(one.rms, one.target.size.unit)
+    return Followed(one.target.name, one.signal, size, effects, one.probability, one.followed)
+
+
+def _over_time(fit: Fit, one: Remainder) -> Latent:
+    """A load or error in each stretch of time, on average, as bumps weigh it."""
+    t, spans = clock(fit.simulator), stretches(fit.simulator)
+    size = [float(one.course[(t >= start) & (t <= stop)].mean()) for start, stop in spans]
+    within = own_time(fit.simulator, *spans[int(np.argmax(np.abs(size)))])
+    starts, stops = zip(*spans, strict=True)
+    return Latent(one.target.name, one.target.size.unit, [*starts], [*stops], size, 0.5 * one.shown**2, within)
+
+
+def _outgrown(pruned: Pruned, effects: tuple[str, ...]) -> list[Outgrown]:
+    found = list[Outgrown]()
+    for p in pruned.expansion.base:
+        values, reach = pruned.draws(p.name), RIM * (p.high - p.low)
+        share = float(((values < p.low + reach) | (values > p.high - reach)).mean())
+        if share > STUCK:
+            found.append(Outgrown({p.name: drawn(values, p.unit)}, {p.name: (p.low, p.high)}, effects, share))
+    return found
+
+
+def _warnings(found: Found) -> list[str]:
+    """Why the base model's fit may not be relied on."""
+    models = {"base": found.base} | ({"extended": found.extended.model} if found.extended.model.effects else {})
+    on_rims = {called: _rim(one, called) for called, one in models.items()}
+    cornered = [line for called, said in on_rims.items() for line in _cornered(said, called)]
+    return [*cornered, *found.gate.notes, *itertools.chain(*on_rims.values()), *_misfit(found.base.fit)]
+
+
+def _unpredicted(found: Found) -> list[str]:
     """Which models spin out where something was held out."""
-    models = ("base", "extended") if chosen(explanation) is not explanation.base.model else ("base",)
-    return [f"The {name} model cannot be simulated in what was held out." for name in models if name not in predictions]
+    models = ("base", "extended") if found.extended.model.effects else ("base",)
+    missing = [name for name in models if name not in found.predictions]
+    return [f"The {name} model cannot be simulated in what was held out." for name in missing]
 
 
 def _score(prediction: Prediction) -> Score:
     return Score(prediction.nrmse, prediction.mean_crps, prediction.mean_log_score, prediction.coverage90)
-
-
-def _unknown(explanation: Explanation) -> Unknown:
-    """What lies outside the catalogue and is at all likely, and what it takes beyond the best set of known effects."""
-    laws, outgrown = list[Followed](), list[Outgrown]()
-    for model, probability in explanation.laws[:LISTED]:
-        if isinstance(model.outside, Beyond):
-            outgrown.append(_outgrown(model, model.outside, probability, explanation.temper))
-        elif model.outside is not None:
-            name, signal = model.outside.target.name, model.outside.signal
-            size = _size(model, model.outside, explanation.temper)
-            onset = model.outside if isinstance(model.outside, Onset) else None
-            acts, start_std = (onset.within, onset.start_std) if onset else ([], None)
-            laws.append(Followed(name, signal, size, model.effects, probability, acts, start_std))
-    beside, takes = next(iter(explanation.beside_unknown)), what_it_takes(explanation.best.model.fit)
-    return Unknown(beside, laws, outgrown, takes)
-
-
-def _outgrown(model: Model, beyond: Beyond, probability: float, power: float) -> Outgrown:
-    found = {name: e for name, e in estimates(model, power).items() if name in beyond.boxes}
-    return Outgrown(found, dict(beyond.boxes), model.effects, probability)
-
-
-def _size(model: Model, outside: Law | Loose, power: float) -> Estimate:
-    """Of what a model has that the catalogue does not."""
-    if isinstance(outside, Law):
-        return estimates(model, power)[outside.target.size.name]
-    mean, std, least = outside.size, outside.std, -np.inf if isinstance(outside, Onset) else 0.0
-    low, high = norm.ppf([0.05, 0.95], mean, max(std, 1e-12))
-    return Estimate(mean, std, max(float(low), least), float(high), outside.target.size.unit)
-
-
-def exchangeable(together: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Groups of effects that stand for each other: exchanging one for another makes one explanation of the next."""
-    groups: list[set[str]] = []
-    for a, b in itertools.combinations([set(effects) for effects in together], 2):
-        if len(a - b) == len(b - a) == 1:
-            pair = a ^ b
-            pair = pair.union(*(group for group in groups if group & pair))
-            groups = [group for group in groups if not group & pair] + [pair]
-    return [sorted(group) for group in groups]
 
 
 def _rim(model: Model, called: str) -> list[str]:
@@ -262,33 +259,5 @@ def _misfit(fit: Fit) -> list[str]:
     ]
 
 
-def _doubts(explanation: Explanation) -> list[str]:
-    """Which of the likely explanations recordings that were held out speak against, and effects of the likeliest whose
-    sizes differ between recordings."""
-    differing = disagreeing(chosen(explanation)) if explanation.detected else []
-    return [
-        f"{name} would be of another size in each recording: what it stands for is likely to be something else."
-        for name in differing
-    ] + [
-        f"{listed(model.effects)} would predict held-out recordings worse than the base model does: what it stands "
-        "for is likely to be something else."
-        for model, probability in zip(explanation.models, explanation.standing, strict=True)
-        if doubted(model) and probability > LIKELY
-    ]
-
-
-def _advice(explanation: Explanation, together: Sequence[tuple[str, ...]]) -> str:
-    """The experiment that separates the two most probable explanations that are hard to tell apart, if there are."""
-    model = {one.effects: one for one in explanation.models}
-    return advice(*(model[effects] for effects in together[:2])) if len(together) > 1 else ""
-
-
 def _plain(e: Estimate) -> dict[str, float]:
     return {"mean": e.mean, "std": e.std, "q05": e.q05, "q95": e.q95}
-
-
-def chosen(explanation: Explanation) -> Model:
-    """The model to go on with: the most probable set of effects, or the base model where nothing was detected."""
-    if not explanation.detected or not explanation.models:
-        return explanation.base.model
-    return explanation.models[0]

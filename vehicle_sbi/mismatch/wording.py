@@ -1,126 +1,129 @@
-"""The answer as a few sentences, for people."""
+"""The answer in words: a headline of at most 25 words, and at most five lines after it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from vehicle_sbi.inference.directions import null
-from vehicle_sbi.mismatch.acceptance import Acceptance
-from vehicle_sbi.mismatch.answer import Estimate, Named, Place, Unknown, Unsupported, listed, quantity
-from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.locate import Stretch, lies_in, spoken
+from vehicle_sbi.mismatch.answer import Unknown, Verdict
+from vehicle_sbi.mismatch.estimation.estimate import quantity
+from vehicle_sbi.mismatch.improve import Prediction
+from vehicle_sbi.mismatch.locate import spoken
 from vehicle_sbi.mismatch.separability import Candidate, Card
-from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.rounding import mean_and_std
 
-SPELLED_OUT = 5  # parameters of an effect at most
-ALTERNATIVES = 5  # explanations that are named beside the likeliest one
+NAMED = 0.5  # probability from which an effect is named
+IN_HEADLINE, IN_LINE = 4, 5  # effects, and sizes, that are spelled out at most
+MOVED = 1.0  # standard deviations by which a base parameter moves, from which it is worth saying
+PARAMETERS = 3  # that are said to have moved at most
 HARDLY_COVERED = 0.75  # share of the 90 % band, below which what was held out is not what the model predicts
 EXAMPLES = 3  # effects that are named of those that would have shown
-SPOKEN_OF = 0.2  # probability from which effects, and something unknown, are spoken of
+FOLLOWS = 0.5  # share of a course that a signal explains, from which it is said to follow it
 
 
-def sentence(
-    explanation: Explanation,
-    found: Sequence[Named],
-    doubtful: Sequence[Unsupported],
-    mismatch: Sequence[Place],
-    together: Sequence[Sequence[str]],
-    unknown: Unknown | None,
-    accepted: Acceptance | None,
-    seen: Card,
-    covered: float,
-) -> str:
-    """The diagnosis in a few sentences, for people; `covered` is the share of what was held out that lies in the base
-    model's 90 % band."""
-    if not explanation.detected:
-        said = (
-            f"Nothing is missing as far as these recordings can tell (p = {explanation.p_value:.2g}): "
-            f"what is left over looks like noise. {_limits(seen)}"
-        )
-        return said if covered >= HARDLY_COVERED else f"{said} {_unlike(covered)}"
-    said = [_difference(explanation.p_value, mismatch), _answer(explanation, found, doubtful, unknown)]
-    if unknown is not None and unknown.sentence:
-        said.append(unknown.sentence)
-    others = [effects for effects in together if effects != found[0].effects]
-    if others:
-        named = [listed(one) for one in others[:ALTERNATIVES]]
-        more = len(others) - len(named)
-        named += [f"{more} more {'set' if more == 1 else 'sets'} of effects"] if more else []
-        said.append(f"These recordings cannot tell it from {', or '.join(named)}.")
-        said.append(_whatever_else(explanation.single))
-    if accepted is not None:
-        said.append(_proof(accepted))
-    return " ".join(said)
+def headline(answer: Verdict, *, trusted: bool) -> str:
+    """What is missing, in at most 25 words."""
+    if not answer.detected:
+        return f"Nothing is missing as far as these recordings can tell (p = {answer.p_value:.2g})."
+    begun = "" if trusted else "The base fit is doubtful. "
+    named = [*_named(answer)]
+    if not named:
+        differ = f"Simulation and recording differ (p = {answer.p_value:.2g})"
+        return f"{begun}{differ}, and no known effect explains it for certain."
+    more = len(named) - IN_HEADLINE
+    return f"{begun}Missing: {', '.join(named[:IN_HEADLINE])}{f', and {more} more' if more > 0 else ''}."
 
 
-def distrusted(said: str) -> str:
-    """The same of a fit that is not to be trusted."""
-    return f"The base model's fit is not to be trusted; by it, {said[0].lower()}{said[1:]}"
+def _named(answer: Verdict) -> Iterator[str]:
+    """Effects that are likely to be missing, and groups of which one is, with their probabilities."""
+    named = {name: p for name, p in answer.effects.items() if p > NAMED}
+    yield from (f"{_plain(name)} ({p:.2f})" for name, p in named.items())
+    yield from (" or ".join(map(_plain, group[:2])) for group in answer.indistinguishable if not {*group} & {*named})
 
 
-def _proof(accepted: Acceptance) -> str:
-    """Whether the extended model is to be preferred, and why."""
-    verdict = "accepted" if accepted.accepted else "not accepted"
-    return f"On held-out data the extended model is {verdict}: {accepted.because}."
+def _plain(name: str) -> str:
+    return name.replace("_", " ")
 
 
-def _difference(p_value: float, mismatch: Sequence[Place]) -> str:
-    """That they differ, and where most."""
-    where = [f", most of all in {one.channel} {_when(one.regime, one.within)}" for one in mismatch[:1]]
-    return f"Simulation and recording differ (p = {p_value:.2g}){''.join(where)}."
-
-
-def _answer(
-    explanation: Explanation, found: Sequence[Named], doubtful: Sequence[Unsupported], unknown: Unknown | None
-) -> str:
-    """What explains it, as far as anything known does."""
-    nothing = f"Still the likeliest is that nothing is missing ({explanation.p_none:.2f})"
-    if not found:
-        nothing_known = "No known effect explains any of it for certain."
-        said = f"{nothing}." if explanation.p_none > explanation.p_unknown else nothing_known
-        return " ".join([said, *(one.sentence for one in doubtful[:1])])
-    best, examined = found[0], explanation.best
-    named, verb = listed(best.effects), "explains" if len(best.effects) == 1 else "explain"
-    share = f"{examined.share_explained:.0%}" if examined.model.effects == best.effects else ""
-    likeliest = max(best.probability, explanation.p_unknown)
-    if explanation.p_none > likeliest:
-        said = f"{nothing}; else {named} {verb} it best, with {best.probability:.2f}"
-    elif explanation.known_leads:
-        said = f"{named} {verb} {f'{share} of ' if share else ''}it with probability {best.probability:.2f}"
-    elif unknown is not None and not unknown.effects:
-        nearest = f"of known effects {named} {verb} it best, with {best.probability:.2f}"
-        said = f"Something outside the catalogue explains it with probability {explanation.p_unknown:.2f}; {nearest}"
+def lines(answer: Verdict, seen: Card, predictions: Mapping[str, Prediction]) -> list[str]:
+    """How large it is, what it did to the parameters, what cannot be told apart and what would tell it, what is left
+    over, and whether it is proved; or, where nothing is missing, what would have shown."""
+    if not answer.detected:
+        said = [_limits(seen), *_unlike(predictions)]
     else:
-        left, part = examined.largest_block, f"{share} at most" if share else "a part of it"
-        where = _when(left.regime, lies_in(examined.model.fit.simulator, left))
-        said = (
-            f"No known effect explains all of it: {named} {verb} {part}, and something unknown remains in "
-            f"{left.channel} {where}"
-        )
-    meaning = "; ".join(CATALOGUE[name].meaning for name in best.effects)
-    sizes = "; ".join(size for name in best.effects for size in _sizes(name, best.sizes))
-    return " ".join([f"{said}: {meaning} ({sizes}).", *(f"{acts}." for acts in best.acting)])
+        said = [_sizes(answer), _moved(answer), _alike(answer), _left(answer.unknown), _proof(answer.fit)]
+    return [line for line in said if line]
 
 
-def _sizes(effect: str, own: Mapping[str, Estimate]) -> list[str]:
-    """The sizes of an effect's parameters; of a profile its range."""
-    values = {name: e for name, e in own.items() if name.split(".")[0] == effect}
-    if len(values) <= SPELLED_OUT:
-        return [quantity(name, e) for name, e in values.items()]
-    low, high = min(e.mean for e in values.values()), max(e.mean for e in values.values())
-    return [f"{effect}: {len(values)} values from {low:.2g} to {high:.2g} {next(iter(values.values())).unit}"]
+def _sizes(answer: Verdict) -> str:
+    """Where they differ most, and the sizes of what is missing."""
+    where = [f"most in {one.channel} {one.regime or spoken(one.within)}" for one in answer.mismatch[:1]]
+    found = answer.explanations[0] if answer.explanations else None
+    values = [quantity(name, e) for name, e in found.sizes.items()] if found else []
+    spelled = "; ".join(values[:IN_LINE]) + (f"; and {len(values) - IN_LINE} more" if len(values) > IN_LINE else "")
+    acting = [f"{one}." for one in found.acting] if found else []
+    size = [f"{spelled[0]}{spelled[1:]}."] if spelled else []
+    return " ".join([f"They differ {where[0]} (p = {answer.p_value:.2g})." if where else "", *size, *acting]).strip()
 
 
-def _whatever_else(single: Mapping[str, float]) -> str:
-    """How probable each effect is over all sets that hold it; the likeliest one and those that are at all likely."""
-    likely = [f"{name} {p:.2f}" for k, (name, p) in enumerate(single.items()) if k == 0 or p > SPOKEN_OF]
-    return f"Whatever else is missing, the probability that an effect is: {', '.join(likely[:ALTERNATIVES])}."
+def _moved(answer: Verdict) -> str:
+    """Base parameters that move most, from the base model's to what holds whatever is missing."""
+    off = list[tuple[float, str]]()
+    for name, one in answer.base_parameters.items():
+        before, after, unit = _moves(one)
+        shift = abs(after["mean"] - before["mean"]) / max(before["std"], 1e-300)
+        words = f"{name} from {_said(before)} to {_said(after)} {unit}".removesuffix(" 1")
+        off += [(shift, words)] if shift > MOVED else []
+    moved = [words for _, words in sorted(off, reverse=True)[:PARAMETERS]]
+    return f"With what is missing averaged over, {'; '.join(moved)}." if moved else ""
 
 
-def _unlike(covered: float) -> str:
+def _moves(one: Any) -> tuple[Mapping[str, float], Mapping[str, float], str]:
+    return one["before"], one["after"], one["unit"]
+
+
+def _said(e: Mapping[str, float]) -> str:
+    return mean_and_std(e["mean"], e["std"])
+
+
+def _alike(answer: Verdict) -> str:
+    """What cannot be told apart, and what would tell it."""
+    groups = [" or ".join(map(_plain, group)) for group in answer.indistinguishable]
+    said = [f"These recordings cannot tell which: {'; '.join(groups)}."] if groups else []
+    return " ".join([*said, answer.separating_experiment]).strip()
+
+
+def _left(unknown: Unknown | None) -> str:
+    """The load or error that no effect stands for, as far as it shows."""
+    if unknown is None or unknown.over_time is None:
+        return "".join(_at_bounds(unknown))
+    law, over = unknown.laws[0], unknown.over_time
+    follows = f", which follows {law.signal}" if law.share >= FOLLOWS else ""
+    size = quantity("", law.size).removeprefix(" = ")
+    most = f"most {spoken(over.within)}" if over.within else ""
+    return " ".join([f"Left over: {law.target} of {size} (root mean square){follows}, {most}.", *_at_bounds(unknown)])
+
+
+def _at_bounds(unknown: Unknown | None) -> list[str]:
+    names = [name for one in (unknown.beyond_prior if unknown else ()) for name in one.parameters]
+    return [f"{' and '.join(names)} would leave the prior: it is too narrow, or more is missing."] if names else []
+
+
+def _proof(fit: Mapping[str, object]) -> str:
+    """Whether the extended model is to be preferred, and why."""
+    if "accepted" not in fit:
+        return ""
+    verdict = "accepted" if fit["accepted"] else "not accepted"
+    return f"On held-out data the extended model is {verdict}: {fit['accepted_because']}."
+
+
+def _unlike(predictions: Mapping[str, Prediction]) -> Iterator[str]:
     """That what was held out, where nothing is looked for, is not what the base model predicts."""
-    return (
-        f"But what was held out, where nothing is searched for, is unlike it: {covered:.0%} of it lies in the 90 % "
-        "band. Hold out another recording, and it will be searched."
-    )
+    covered = predictions["base"].coverage90 if "base" in predictions else 0.0
+    if covered < HARDLY_COVERED:
+        yield (
+            f"But what was held out, where nothing is searched for, is unlike it: {covered:.0%} of it lies in the 90 % "
+            "band. Hold out another recording, and it will be searched."
+        )
 
 
 def _limits(seen: Card) -> str:
@@ -138,8 +141,3 @@ def _least(seen: Candidate) -> str:
     rest = null(seen.parameter)
     size = f"{seen.least} {seen.parameter.unit}".removesuffix(" 1")
     return f"{size} off {rest:g}" if rest else size
-
-
-def _when(regime: str, within: Sequence[Stretch]) -> str:
-    """The regime in words, or the time."""
-    return (f"where {regime.replace(' above ', ' is above ')}" if " above " in regime else regime) or spoken(within)

@@ -3,31 +3,20 @@
 import json
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
 from vehicle_sbi.files import write_text
-from vehicle_sbi.inference.directions import Direction, left_out
-from vehicle_sbi.mismatch.answer import Verdict, listed, quantity
-from vehicle_sbi.mismatch.base_fit import fitted, refitted
+from vehicle_sbi.mismatch.answer import Verdict, listed
 from vehicle_sbi.mismatch.case import Case
-from vehicle_sbi.mismatch.explain import explain
-from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.full_model import full_model
-from vehicle_sbi.mismatch.gate import Gate, through
-from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
+from vehicle_sbi.mismatch.estimation.estimate import quantity
 from vehicle_sbi.mismatch.locate import spoken
-from vehicle_sbi.mismatch.sampled import sized
-from vehicle_sbi.mismatch.selection.expand_and_prune import MOST_READINGS, Pruned, expand_and_prune
-from vehicle_sbi.mismatch.separability import Card, card
-from vehicle_sbi.mismatch.verdict import chosen, verdict
+from vehicle_sbi.mismatch.pipeline import STEPS, steps
+from vehicle_sbi.mismatch.verdict import Found, verdict
 from vehicle_sbi.report.card import LEGEND, could_show, hidden
 from vehicle_sbi.report.extended import extended
 from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
@@ -37,21 +26,10 @@ from vehicle_sbi.report.stage_file import StageFileError, read
 from vehicle_sbi.report.stage_file import write as write_stage
 from vehicle_sbi.report.tables import html
 from vehicle_sbi.rng import Stream, generator
+from vehicle_sbi.rounding import mean_and_std
 
-STAGES = {
-    "fit": "fitting the base model",
-    "directions": "what could be missing",
-    "separability": "what could be seen",
-    "explanation": "what is missing",
-    "sizes": "how large it is",
-    "posterior": "inferring it",
-    "pruned": "every effect at once",
-}
-WHATEVER_ELSE = (
-    "Probability that each effect is missing where any number of them may be, and discrepancies that no effect stands "
-    "for. Base parameters after the diagnosis are averages over all of these."
-)
-LIKELY = 0.2  # probability from which an effect is listed there
+LISTED = 0.05  # probability from which an effect is listed on the page
+SETS = 8  # of effects that are listed there
 Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
@@ -61,87 +39,27 @@ if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
 
 
 def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, *, seed: int, figures: bool) -> None:
-    """All stages, each kept on disk once it is done, then everything that is written for the user; `again` says how the
+    """All steps, each kept on disk once it is done, then everything that is written for the user; `again` says how the
     extended model is to be inferred, if it is."""
-    starts, draws, sizes, sampled = (
-        generator(seed=seed, stream=Stream.STUDY, index=k) for k in (2, 3, 4, 5)
-    )  # a stage has its own
-    stages = len(STAGES) - 1  # the last one is in place of the one before
-    with tqdm(total=stages, bar_format="{desc:<24}|{bar:20}| {elapsed}{postfix}", disable=None) as bar:
-        begun = _kept(folder, "fit", Begun, lambda: started(case, starts), bar)
-        base, passed = begun.base, begun.gate
-        known = _kept(folder, "directions", list[Direction], lambda: left_out(base.simulator, base.theta), bar)
-        seen = _kept(folder, "separability", Card, lambda: card(base.simulator, base.theta, known), bar)
-        showing = seen.visible(known)
-        found = _kept(folder, "explanation", Explanation, lambda: explained(case, begun, showing, draws, bar), bar)
-        searched, rounds = found, folder.path / "rounds"
-        if again is None:
-            found = _kept(folder, "sizes", Explanation, lambda: sized(searched, sizes).supported(), bar)
-        else:
-            found = _kept(folder, "posterior", Explanation, lambda: again.of(searched, rounds).supported(), bar)
-        pruned = _kept(folder, "pruned", AtOnce, lambda: at_once(case, found, showing, sampled), bar).pruned
+    infer = None if again is None else lambda model: again.inferred(model, folder.path / "rounds")
+    with tqdm(total=len(STEPS), bar_format="{desc:<24}|{bar:20}| {elapsed}{postfix}", disable=None) as bar:
+
+        def kept(name: str, kind: type[Result], compute: Callable[[], Result]) -> Result:
+            return _kept(folder, name, kind, compute, bar)
+
+        found = steps(case, rng=generator(seed=seed, stream=Stream.STUDY, index=2), keep=kept, infer=infer)
     with folder.stage("report"):
-        predictions, gained = proved(case, found)
-        answer = verdict(case, passed, found, predictions, gained, seen, pruned)
+        answer = verdict(case, found)
         write(folder, found, answer)
         if figures:
-            write_report(folder, case, found, predictions, answer, seen)
+            write_report(folder, case, found, answer)
     folder.complete()
 
 
-@dataclass(frozen=True)
-class Begun:
-    """The base model's fit, how far it can be trusted, and the fit with everything that could be missing in."""
-
-    base: Fit
-    gate: Gate
-    full: Fit | None
-
-
-@dataclass(frozen=True)
-class AtOnce:
-    """What is found with every effect free at once, if that is asked and can be simulated."""
-
-    pruned: Pruned | None
-
-
-def at_once(case: Case, found: Explanation, known: Sequence[Direction], rng: np.random.Generator) -> AtOnce:
-    """Expand and prune, where anything is missing and recordings are not too long for it."""
-    base = found.base.model.fit
-    if not found.detected or base.at.y.size > MOST_READINGS:
-        return AtOnce(None)
-    return AtOnce(expand_and_prune(base, known, case.naming, prior=case.effect_prior, rng=rng))
-
-
-def started(case: Case, rng: np.random.Generator) -> Begun:
-    """The base model's fit, started from many places, that of the full model among them."""
-    base = fitted(case.observation, rng)
-    full = full_model(base, left_out(base.simulator, base.theta))
-    base, passed = through(refitted(base, full), rng)
-    return Begun(base, passed, full)
-
-
-def explained(case: Case, begun: Begun, known: Sequence[Direction], rng: np.random.Generator, bar: tqdm) -> Explanation:
-    """What is missing, from the recordings that are fitted and those that help to name."""
-    found = explain(begun.base, known, rng=rng, full=begun.full, belief=case.belief, tried=bar.set_postfix_str)
-    return found if case.naming is None else found.foretelling(case.naming)
-
-
-def proved(case: Case, found: Explanation) -> tuple[dict[str, Prediction], Gain | None]:
-    """How base and extended model predict what was held out, if they can be simulated there, and what the latter
-    gains."""
-    models = {"base": found.base.model, "extended": chosen(found)}
-    if models["extended"] is models["base"]:
-        del models["extended"]
-    tried = {name: predict(model, case.held_out, apart=case.apart) for name, model in models.items()}
-    predictions = {name: prediction for name, prediction in tried.items() if prediction is not None}
-    return predictions, gain(**predictions) if len(predictions) == 2 else None
-
-
 def _kept(folder: RunFolder, name: str, kind: type[Result], compute: Callable[[], Result], bar: tqdm) -> Result:
-    """A stage's result, from its file where the stage is done."""
+    """A step's result, from its file where the step is done."""
     path = folder.path / "stages" / f"{name}.npz"
-    bar.set_description_str(STAGES[name])
+    bar.set_description_str(STEPS[name])
     if (result := _done(path, kind)) is None:
         with folder.stage(name):
             result = compute()
@@ -162,43 +80,43 @@ def _done(path: Path, kind: type[Result]) -> Result | None:
         return None
 
 
-def write(folder: RunFolder, found: Explanation, answer: Verdict) -> None:
+def write(folder: RunFolder, found: Found, answer: Verdict) -> None:
     """The answer and the extended model."""
     write_text(folder.path / "verdict.json", json.dumps(answer.as_json(), indent=2) + "\n")
-    write_text(folder.path / "extended.yaml", extended(chosen(found), folder.config))
+    write_text(folder.path / "extended.yaml", extended(found.extended.model, folder.config))
 
 
-def write_report(
-    folder: RunFolder, case: Case, found: Explanation, predictions: dict[str, Prediction], answer: Verdict, seen: Card
-) -> None:
+def write_report(folder: RunFolder, case: Case, found: Found, answer: Verdict) -> None:
     """Pictures and the page."""
     path = folder.path
     figures = path / "figures"
     figures.mkdir(exist_ok=True)
     pictures = {
         "Recorded less simulated, before and after; shaded where the base model misses": figures / "residuals.png",
-        "Probability of each explanation": figures / "probabilities.png",
-        "The base model's parameters before and after": figures / "shifts.png",
+        "Probability that each effect is missing, whatever else is": figures / "probabilities.png",
+        "The base model's parameters before, and with what is missing averaged over": figures / "shifts.png",
     }
     residuals(found, answer, figures / "residuals.png")
     probabilities(answer, figures / "probabilities.png")
-    shifts(answer, found.base.model.fit.simulator.space, figures / "shifts.png")
-    if predictions:
+    shifts(answer, found.examined.fit.simulator.space, figures / "shifts.png")
+    if found.predictions:
         pictures["Held-out recordings, predicted by both models"] = figures / "held_out.png"
-        held_out_figure(case.held_out, predictions, figures / "held_out.png")
+        held_out_figure(case.held_out, found.predictions, figures / "held_out.png")
     write_page(
         path / "report.html",
         title=f"Diagnosis of {case.name}",
         sections={
-            "Answer": _paragraphs([line for line in (answer.sentence, answer.separating_experiment) if line]),
-            "Explanations": in_section(html(_explanations(answer)) + _of_held_out(answer) + _set_aside(answer)),
-            "With every effect free at once": in_section(html(_whatever_else(answer)), WHATEVER_ELSE)
-            if answer.whatever_else
-            else "<p>Not asked: nothing was detected, or the recordings are too long.</p>",
+            "Answer": f"<p><strong>{escape(answer.headline)}</strong></p>{_paragraphs(answer.lines)}",
+            "What is missing": in_section(html(_effects(answer)), LEGEND_OF_EFFECTS),
+            "Together": in_section(html(_sets(answer)), LEGEND_OF_SETS),
+            "What is left over": in_section(html(_laws(answer)), LEGEND_OF_LAWS)
+            if answer.unknown
+            else "<p>Nothing beyond noise.</p>",
+            "Base parameters": in_section(html(_base(answer))),
             "Where": in_section(html(_places(answer))) if answer.mismatch else "<p>Nowhere beyond noise.</p>",
             "Held out": in_section(html(_scores(answer))) + _accepted(answer),
-            "What these recordings could have shown": in_section(html(could_show(seen)), LEGEND)
-            + _paragraphs(hidden(seen)),
+            "What these recordings could have shown": in_section(html(could_show(found.seen)), LEGEND)
+            + _paragraphs(hidden(found.seen)),
         },
         warnings=answer.warnings,
         notes=[note for note in answer.notes if note not in answer.warnings],
@@ -206,47 +124,80 @@ def write_report(
     )
 
 
+LEGEND_OF_EFFECTS = (
+    "Probability that an effect is missing, whatever else is; sizes where it is missing. Any number of effects may be "
+    "missing at once, beside discrepancies that no effect stands for."
+)
+LEGEND_OF_SETS = (
+    "Probability that exactly these effects are missing: nothing else, or nothing but a discrepancy that no effect "
+    "stands for. The first set is the extended model."
+)
+LEGEND_OF_LAWS = (
+    "Loads and errors that no effect stands for: root mean square, and the signal of the drive that they follow best, "
+    "with the share of their course that it explains."
+)
+
+
 def _paragraphs(lines: Sequence[str]) -> str:
     return "".join(f"<p>{escape(line)}</p>" for line in lines)
 
 
-def _explanations(answer: Verdict) -> pd.DataFrame:
+def _effects(answer: Verdict) -> pd.DataFrame:
+    sizes = {name: e for one in reversed(answer.explanations) for name, e in one.sizes.items()}
+    sizes |= {name: e for one in answer.unsupported for name, e in one.parameters.items() if name not in sizes}
     rows = [
         {
-            "explanation": listed(one.effects),
-            "probability": f"{one.probability:.3f}",
-            "with something unknown": f"{one.beside_unknown:.3f}",
-            "held out": "" if one.foretold is None else f"{one.foretold:+.1f}",
-            "size": "; ".join([*(quantity(name, e) for name, e in one.sizes.items()), *one.acting]),
+            "effect": name,
+            "probability": f"{p:.2f}",
+            "size": "; ".join(quantity(key, e) for key, e in sizes.items() if key.split(".")[0] == name),
         }
-        for one in answer.explanations
-        if one.probability + one.beside_unknown >= 0.001
+        for name, p in answer.effects.items()
+        if p >= LISTED
     ]
-    rows += [
-        {"explanation": "none", "probability": f"{answer.p_none:.3f}"},
-        {"explanation": "unknown", "probability": f"{answer.p_unknown:.3f}"},
+    return pd.DataFrame(rows, columns=["effect", "probability", "size"])
+
+
+def _sets(answer: Verdict) -> pd.DataFrame:
+    """The likeliest sets, none, and what is left over by itself."""
+    rows = [
+        {
+            "effects": listed(one.effects),
+            "alone": f"{one.probability:.3f}",
+            "with a discrepancy": f"{one.beside_unknown:.3f}",
+        }
+        for one in answer.explanations[:SETS]
     ]
-    columns = ["explanation", "probability", "with something unknown", "held out", "size"]
-    table = pd.DataFrame(rows, columns=columns, dtype=object).fillna("")
-    return table.loc[:, ["explanation", "probability", *(c for c in table.columns[2:] if table[c].any())]]
+    alone = max(answer.p_unknown - sum(one.beside_unknown for one in answer.explanations), 0.0)
+    rows.append({"effects": "no effect", "alone": f"{answer.p_none:.3f}", "with a discrepancy": f"{alone:.3f}"})
+    return pd.DataFrame(rows)
 
 
-def _whatever_else(answer: Verdict) -> pd.DataFrame:
-    """Effects that are at all likely where all of them may be missing at once."""
-    likely = {name: p for name, p in answer.whatever_else.items() if p >= LIKELY}
-    return pd.DataFrame({"effect": [*likely], "probability": [f"{p:.2f}" for p in likely.values()]})
+def _laws(answer: Verdict) -> pd.DataFrame:
+    laws = answer.unknown.laws if answer.unknown else []
+    return pd.DataFrame(
+        {
+            "what": [law.target for law in laws],
+            "root mean square": [quantity("", law.size).removeprefix(" = ") for law in laws],
+            "follows": [f"{law.signal} ({law.share:.0%})" for law in laws],
+        }
+    )
 
 
-def _of_held_out(answer: Verdict) -> str:
-    """What the column of that name says, where it says anything."""
-    told = any(one.foretold is not None for one in answer.explanations)
-    return "<p>Held out: log likelihood gained over the base model on the half that helps to name.</p>" if told else ""
-
-
-def _set_aside(answer: Verdict) -> str:
-    """Sets that are not among the explanations, and what their sizes would be."""
-    sets = "; ".join(f"{listed(one.effects)} ({one.sizes})" for one in answer.unsupported)
-    return _paragraphs([f"Set aside, as a size may as well be nothing: {sets}."] if sets else [])
+def _base(answer: Verdict) -> pd.DataFrame:
+    """Base parameters by the base model, and with all that may be missing averaged over."""
+    rows = list[dict[str, str]]()
+    for name, one in answer.base_parameters.items():
+        values: Any = one
+        rows.append(
+            {
+                "parameter": name,
+                "unit": values["unit"],
+                "base model": mean_and_std(values["before"]["mean"], values["before"]["std"]),
+                "whatever is missing": mean_and_std(values["after"]["mean"], values["after"]["std"]),
+                "90 %": f"{values['after']['q05']:.4g} to {values['after']['q95']:.4g}",
+            }
+        )
+    return pd.DataFrame(rows)
 
 
 def _places(answer: Verdict) -> pd.DataFrame:
@@ -288,11 +239,9 @@ def _accepted(answer: Verdict) -> str:
 
 
 def show(folder: RunFolder) -> None:
-    """Print the warnings and the sentence of a finished diagnosis, and the paths of what it wrote."""
+    """Print the headline of a finished diagnosis, its lines and warnings, and the paths of what it wrote."""
     answer = json.loads((folder.path / "verdict.json").read_text())
-    print(*answer.get("warnings", []), answer["sentence"], sep="\n")
-    if answer["separating_experiment"]:
-        print(answer["separating_experiment"])
+    print(answer["headline"], *answer["lines"], *answer["warnings"], sep="\n")
     print()
     for name in ("verdict.json", "extended.yaml", "report.html"):
         if (folder.path / name).exists():

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from vehicle_sbi.mismatch.examine import Model
+from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 

@@ -10,21 +10,21 @@ from matplotlib.patches import Patch
 
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.mismatch.answer import Verdict
-from vehicle_sbi.mismatch.explanation import Explanation
 from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.improve import Prediction
-from vehicle_sbi.mismatch.verdict import chosen
+from vehicle_sbi.mismatch.verdict import Found
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.report.figures import MEASURED, POSTERIOR, PRIOR, STYLE, TRUTH, key, save
 from vehicle_sbi.report.tables import symbol, unit_symbol
 
-MOST_BARS = 8
+MOST_BARS = 15
+LEAST = 0.05  # probability of an effect that has a bar
 
 
-def residuals(found: Explanation, answer: Verdict, path: Path) -> None:
+def residuals(found: Found, answer: Verdict, path: Path) -> None:
     """Recorded less simulated per channel, smoothed over a quarter of a second, of base and extended model."""
-    base, model = found.base.model.fit, chosen(found)
+    base, model = found.examined.fit, found.extended.model
     windows = base.simulator.windows
     alone = len(set(windows.recordings)) == 1
     t = (windows.t if alone else windows.u[..., INPUTS.index("time")]).reshape(-1)
@@ -59,26 +59,20 @@ def _smooth(values: np.ndarray, rate: float) -> np.ndarray:
 
 
 def probabilities(answer: Verdict, path: Path) -> None:
-    """A bar for each explanation, alone and with something unknown beside it, for none and for unknown alone."""
-    likeliest = sorted(answer.explanations, key=lambda one: -one.probability - one.beside_unknown)
-    bars = [(" + ".join(one.effects), one.probability, one.beside_unknown) for one in likeliest[:MOST_BARS]]
-    if rest := likeliest[MOST_BARS:]:
-        others = sum(one.probability for one in rest), sum(one.beside_unknown for one in rest)
-        bars.append((f"{len(rest)} other sets", *others))
-    alone = answer.p_unknown - sum(one.beside_unknown for one in answer.explanations)
-    bars += [("none", answer.p_none, 0.0), ("unknown alone", 0.0, max(alone, 0.0))]
+    """A bar for each effect that is at all likely, and one for none."""
+    bars = [(name.replace("_", " "), p) for name, p in answer.effects.items() if p >= LEAST][:MOST_BARS]
+    bars = [*bars, ("nothing at all", answer.p_none)]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.0, 0.32 * len(bars) + 0.9), layout="constrained")
         axis = figure.subplots()
-        names, known, beside = zip(*reversed(bars), strict=True)
-        axis.barh(range(len(bars)), known, color=POSTERIOR, height=0.65, label="all that is missing")
-        axis.barh(range(len(bars)), beside, left=known, color=MEASURED, height=0.65, label="with something unknown")
+        names, likely = zip(*reversed(bars), strict=True)
+        axis.barh(range(len(bars)), likely, color=POSTERIOR, height=0.65)
         axis.set_yticks(range(len(bars)), names)
-        for i, value in enumerate(np.add(known, beside)):
-            axis.text(value + 0.01, i, f"{value:.3f}", va="center", fontsize=8)
+        for i, value in enumerate(likely):
+            axis.text(value + 0.01, i, f"{value:.2f}", va="center", fontsize=8)
+        axis.axvline(0.5, color="#999999", linewidth=0.6)
         axis.set_xlim(0.0, 1.1)
         axis.set_xlabel("probability")
-        axis.legend(fontsize=8, frameon=False, loc="lower right")
         save(figure, path, [])
 
 
@@ -96,7 +90,7 @@ def shifts(answer: Verdict, space: ParameterSpace, path: Path) -> None:
         axis.set_yticks([-i for i in range(len(names))], [symbol(name) for name in names])
         axis.set_xlim(-0.02, 1.02)
         axis.set_xticks([0, 0.5, 1], ["prior's low end", "", "prior's high end"])
-        save(figure, path, [key("base model", TRUTH), key("extended model", POSTERIOR)])
+        save(figure, path, [key("base model", TRUTH), key("whatever is missing", POSTERIOR)])
 
 
 def held_out_figure(held_out: Observation, predictions: Mapping[str, Prediction], path: Path) -> None:

@@ -1,10 +1,12 @@
 """The model expanded: the base model's parameters and those of every effect that acts, all free at once.
 
 Effects are shrunk to their nulls by normal priors as wide as cars are said to need (`EffectPrior`). A parameter that
-only gives an effect its shape (a lag, a lever arm) is free beside its size. What is tied to the clock is not in it.
+only gives an effect its shape (a lag, a lever arm) is free beside its size. What comes and goes (a gust) enters once
+its likeliest span is known, with its beginning and duration free within a tile of the recordings' time.
 """
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,13 +15,12 @@ from jaxtyping import Float
 from vehicle_sbi.inference.directions import Direction, null
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.setup import slowest
-from vehicle_sbi.mismatch.fit import DAMPING, Fit, Observation, Shrinkage, descend, linearise, with_own_noise
+from vehicle_sbi.mismatch.fit import DAMPING, Fit, Observation, Shrinkage, descend, relinearised, with_own_noise
 from vehicle_sbi.parameters import Parameter, ParameterSpace
-from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.physics.simulation import substeps_for
 
 WIDER = 1.5  # typical sizes by which effects are shrunk at first, before anything is known of which are there
-STEPS, NOISE_ROUNDS, NOISE_STEPS = 8, 2, 4  # of Gauss-Newton, of fit and noise, and of Gauss-Newton within those
+STEPS, NOISE_ROUNDS, NOISE_STEPS = 16, 2, 8  # of Gauss-Newton, of fit and noise, and of Gauss-Newton within those
 STIFFER = 1.4  # times the fitted stiffness, for which steps of the integrator are short enough
 STABLE = 2.0  # step times rate at most
 
@@ -38,11 +39,13 @@ class Expansion:
     rates: Float[np.ndarray, " sizes"]
 
     @classmethod
-    def of(cls, space: ParameterSpace, known: Sequence[Direction], prior: EffectPrior) -> "Expansion":
-        """Of the effects that are known to act, but for those tied to the clock."""
-        lasting = [d for d in known if not CATALOGUE[d.effect].timed]
-        sizes = [*dict.fromkeys(d.parameter for d in lasting)]
-        shapes = [*dict.fromkeys(p for d in lasting for p in d.held if p not in sizes)]
+    def of(
+        cls, space: ParameterSpace, known: Sequence[Direction], prior: EffectPrior, spans: Sequence[Direction] = ()
+    ) -> "Expansion":
+        """Of the effects that are known to act all the time, and of those that come and go in these spans."""
+        acting = [*(d for d in known if not d.clocked), *spans]
+        sizes = [*dict.fromkeys(d.parameter for d in acting)]
+        shapes = [*dict.fromkeys(p for d in acting for p in d.held if p not in sizes)]
         typical, rates = (np.array([of(p) for p in sizes]) for of in (prior.size_of, prior.rate_of))
         return cls(space.parameters, tuple(sizes), tuple(shapes), typical, rates)
 
@@ -67,10 +70,29 @@ class Expansion:
         return np.array([(null(p) <= p.low) * 1 - (null(p) >= p.high) * 1 for p in self.sizes], dtype=np.int64)
 
     @property
+    def groups(self) -> list[int]:
+        """How many neighbouring sizes are missing together: those of a profile over time, any other by itself."""
+        of = [p.name.rstrip("0123456789") for p in self.sizes]
+        return [len([*same]) for _, same in itertools.groupby(of)]
+
+    @property
     def slices(self) -> tuple[slice, slice, slice]:
         """Where base parameters, sizes and shapes are."""
         first, second = len(self.base), len(self.base) + len(self.sizes)
         return slice(0, first), slice(first, second), slice(second, second + len(self.shapes))
+
+    def only(self, sizes: Collection[str]) -> "Expansion":
+        """With some of the sizes alone, and the shapes of their effects."""
+        kept = np.array([p.name in sizes for p in self.sizes], dtype=bool)
+        effects = {name.split(".")[0] for name in sizes}
+        shapes = tuple(p for p in self.shapes if p.name.split(".")[0] in effects)
+        return replace(
+            self,
+            sizes=tuple(itertools.compress(self.sizes, kept)),
+            shapes=shapes,
+            typical=self.typical[kept],
+            rates=self.rates[kept],
+        )
 
     def precision(self, rms: Float[np.ndarray, " sizes"]) -> Float[np.ndarray, " d"]:
         """Of the shrinkage that holds sizes within `rms` typical ones, in units of the boxes' standard deviations."""
@@ -89,21 +111,11 @@ class Expansion:
         """The likeliest point under shrinkage, noise estimated there; None where the simulation fails."""
         space = observation.simulator.space
         start = np.clip(start, space.low, space.high)
-        fit = descend(observation, start, STEPS, Shrinkage(self.rest, self.precision(rms)))
-        return None if fit is None else with_own_noise(fit, NOISE_ROUNDS, NOISE_STEPS)
-
-
-def elsewhere(fit: Fit, observation: Observation) -> Fit | None:
-    """The same model, as it was fitted, in other recordings; None where its simulation fails there."""
-    simulator = replace(
-        observation.simulator,
-        space=fit.simulator.space,
-        noise=replace(fit.simulator.noise, window=observation.simulator.windows.t.shape[1]),
-        substeps=fit.simulator.substeps,
-    )
-    at = linearise(simulator, fit.theta)
-    found = Fit(observation.extended(simulator), fit.theta, at)
-    return found if np.isfinite(at.y[simulator.windows.valid]).all() else None
+        fit = descend(observation, start, STEPS, Shrinkage(self.rest, self.precision(rms)), secant=True)
+        if fit is None:
+            return None
+        fit = with_own_noise(fit, NOISE_ROUNDS, NOISE_STEPS, secant=True)
+        return relinearised(fit, fit.theta)
 
 
 def _substeps(fit: Fit) -> int:
@@ -122,7 +134,7 @@ def _middle(p: Parameter) -> float:
 
 
 def _neutral(p: Parameter) -> float:
-    return _middle(p) if null(p) in (p.low, p.high) else null(p)
+    return null(p) if p.low < null(p) < p.high else _middle(p)
 
 
 def _spread(parameters: Sequence[Parameter]) -> Float[np.ndarray, " n"]:

@@ -5,10 +5,11 @@ the drive's signals, or on a smooth course of its own (after Kennedy and O'Hagan
 singular directions of what that does to the series, so that one amplitude, in physical units, says how large it is.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.laws import STEADY, Law, Target, law_slopes, signals, targets
@@ -22,13 +23,14 @@ LEAST = 1e-2  # singular value over the largest one, below which a direction is 
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """One target's columns: `series` (q, channels, time) in the channels' units and `whitened` (q, samples), both per
-    the largest size that the target may have."""
+    """One target's columns: `series` (q, channels, time) in the channels' units, `whitened` (q, samples), and `course`
+    (q, time) of the load or error itself in the target's unit, all per unit of a coefficient."""
 
     target: Target
     kind: str
     series: Float[np.ndarray, "q channels time"]
     whitened: Float[np.ndarray, "q samples"]
+    course: Float[np.ndarray, "q time"]
 
 
 def discrepancies(fit: Fit) -> list[Discrepancy]:
@@ -66,17 +68,78 @@ def _groups(
     given = [Law(target, name, course) for target in acting for name, course in courses.items()]
     slopes = law_slopes(fit.simulator, fit.theta, fit.at.y, given)
     by_target = slopes.reshape(len(acting), len(courses), *fit.at.y.shape)
+    course = np.array([*courses.values()]).reshape(len(courses), -1)
     return [
-        _group(fit, target, kind, scale * target.size.high * rows, columns)
+        _group(fit, target, kind, scale * target.size.high * rows, scale * target.size.high * course, columns)
         for target, rows in zip(acting, by_target, strict=True)
     ]
 
 
 def _group(
-    fit: Fit, target: Target, kind: str, rows: Float[np.ndarray, "k channels time"], columns: int
+    fit: Fit,
+    target: Target,
+    kind: str,
+    rows: Float[np.ndarray, "k channels time"],
+    course: Float[np.ndarray, "k time"],
+    columns: int,
 ) -> Discrepancy:
+    """At most so many singular directions of rows, what courses of the target do to the series."""
     white = fit.metric(rows).reshape(len(rows), -1)
     left, size, right = np.linalg.svd(white, full_matrices=False)
     kept = max(min(columns, int((size > LEAST * size[0]).sum())), 1)
-    series = np.tensordot(left[:, :kept].T, np.nan_to_num(rows), axes=1)
-    return Discrepancy(target, kind, series, size[:kept, None] * right[:kept])
+    along = left[:, :kept].T
+    series = np.tensordot(along, np.nan_to_num(rows), axes=1)
+    return Discrepancy(target, kind, series, size[:kept, None] * right[:kept], along @ course)
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What a target is off by beside all effects: the course (time) of the load or error in its unit, on average over
+    draws; its root mean square in each draw; how far the recording shows it, in standard deviations of the noise; the
+    signal of the drive that the course follows best and the square of their correlation; and how probable any is."""
+
+    target: Target
+    course: Float[np.ndarray, " time"]
+    rms: Float[np.ndarray, " n"]
+    shown: float
+    signal: str
+    followed: float
+    probability: float
+
+
+def remainders(
+    fit: Fit,
+    here: Sequence[Discrepancy],
+    coefficient: Float[np.ndarray, "n columns"],
+    there: Bool[np.ndarray, "n groups"],
+) -> list[Remainder]:
+    """Of each target, what draws of the discrepancies' coefficients say, the one that shows most first."""
+    ends = np.cumsum([len(one.series) for one in here])
+    parts = np.split(coefficient[:, : ends[-1]], ends[:-1], axis=1)
+    courses = {name: x.reshape(-1) for name, x in signals(fit.simulator, fit.theta, {}).items() if np.std(x) > STEADY}
+    of_target: dict[str, list[int]] = {}
+    for k, one in enumerate(here):
+        of_target.setdefault(one.target.name, []).append(k)
+    found = [
+        _remainder([here[k] for k in ks], [parts[k] for k in ks], there[:, ks], courses) for ks in of_target.values()
+    ]
+    return sorted(found, key=lambda one: -one.shown)
+
+
+def _remainder(
+    groups: Sequence[Discrepancy],
+    parts: Sequence[Float[np.ndarray, "n q"]],
+    there: Bool[np.ndarray, "n groups"],
+    courses: dict[str, Float[np.ndarray, " time"]],
+) -> Remainder:
+    """Of one target, all of its groups together."""
+    columns, c = np.concatenate([one.course for one in groups]), np.concatenate(parts, axis=1)
+    products = columns @ columns.T / columns.shape[1]
+    course = c.mean(axis=0) @ columns
+    rms = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", c, products, c, optimize=True), 0.0))
+    white = c.mean(axis=0) @ np.concatenate([one.whitened for one in groups])
+    names, spread = [*courses], np.std(course)
+    alike = [float(np.corrcoef(course, courses[name])[0, 1] ** 2) if spread > 0.0 else 0.0 for name in names]
+    best = int(np.argmax(alike))
+    shown, probability = float(np.linalg.norm(white)), float(there.any(axis=1).mean())
+    return Remainder(groups[0].target, course, rms, shown, names[best], alike[best], probability)

@@ -8,46 +8,39 @@ last rounds are pooled, since none of their linear models is the right one.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from vehicle_sbi.inference.directions import Direction
 from vehicle_sbi.inference.effect_prior import EffectPrior
-from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion, elsewhere
+from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
+from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order
 from vehicle_sbi.mismatch.fit import Fit, Observation
-from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, discrepancies
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Remainder, discrepancies, remainders
+from vehicle_sbi.mismatch.hypotheses.spans import likeliest_spans
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Shared, sample
+from vehicle_sbi.parameters import Parameter
 
-FIRST = Chain(chains=2, sweeps=120, forgotten=40, every=2)  # to say where to fit again
-CHAIN = Chain(chains=2, sweeps=240, forgotten=80, every=2)
-MOST_READINGS = 40_000  # samples times channels: of more, products of all columns take minutes and gigabytes
 LEAST_RMS = 0.02  # typical sizes, within which an effect that is out is held
+AMPLITUDES = np.geomspace(0.03, 3.0, 5)  # of discrepancies, in units of the scale that is believed of them
+NOTHING = 1e-4  # amplitude that stands for none
 
 
 @dataclass(frozen=True, kw_only=True)
-class Belief:
-    """How large effects are where they are missing, how large discrepancies, and in how many rounds both are sought.
+class Budget:
+    """Rounds of fit and sampling, from which of the last ones draws are pooled, and the chains of those and of the ones
+    before, which only say where to fit again."""
 
-    `slabs` are standard deviations of a moment prior, in typical sizes, with their `slab_shares`; `amplitudes` are
-    those of discrepancies, in the largest sizes of laws, half normal with `discrepancy_scale`; `discrepancy_rate` is
-    the probability of each. Rounds from the `pooled`-th last one on count.
-    """
-
-    slabs: Sequence[float] = (0.6, 1.5)
-    slab_shares: Sequence[float] = (0.85, 0.15)
-    amplitudes: Sequence[float] = (0.003, 0.01, 0.03, 0.1, 0.3)
-    discrepancy_scale: float = 0.1
-    discrepancy_rate: float = 0.9
-    none: float = 1e-4  # amplitude that stands for no discrepancy
-    odds: float = 1.0  # factor on the odds of all effects' rates
-    shared: Shared = field(default_factory=lambda: Shared(spikes=(0.1,)))
     rounds: int = 3
     pooled: int = 2
+    first: Chain = field(default_factory=lambda: Chain(chains=2, sweeps=120, forgotten=40, every=2))
+    last: Chain = field(default_factory=lambda: Chain(chains=2, sweeps=240, forgotten=80, every=2))
 
 
-BELIEF = Belief()
+BUDGET = Budget()
 
 
 @dataclass(frozen=True)
@@ -60,18 +53,36 @@ class Pruned:
     included: Bool[np.ndarray, "n sizes"]
     discrepant: Bool[np.ndarray, "n groups"]
     fit: Fit
+    remainders: list[Remainder]
+
+    @cached_property
+    def missing(self) -> dict[str, Bool[np.ndarray, " n"]]:
+        """In which draws each effect is away from its null."""
+        of = np.array([p.name.split(".")[0] for p in self.expansion.sizes])
+        return {name: np.any(self.included[:, of == name], axis=1) for name in dict.fromkeys(of.tolist())}
 
     @property
     def effects(self) -> dict[str, float]:
         """The probability that each effect is missing, whatever else is; the largest first."""
-        names = dict.fromkeys(p.name.split(".")[0] for p in self.expansion.sizes)
-        found = {name: self.any_of([name]) for name in names}
+        found = {name: float(there.mean()) for name, there in self.missing.items()}
         return dict(sorted(found.items(), key=lambda one: -one[1]))
 
     def any_of(self, effects: Collection[str]) -> float:
         """The probability that at least one of some effects is missing."""
-        columns = [k for k, p in enumerate(self.expansion.sizes) if p.name.split(".")[0] in effects]
-        return float(self.included[:, columns].any(axis=1).mean())
+        return float(np.any([self.missing[name] for name in effects], axis=0).mean())
+
+    @cached_property
+    def unexplained(self) -> Bool[np.ndarray, " n"]:
+        """In which draws there is a discrepancy, which no effect stands for."""
+        return np.any(self.discrepant, axis=1)
+
+    @cached_property
+    def sets(self) -> dict[tuple[str, ...], Bool[np.ndarray, " n"]]:
+        """Every set of effects that was drawn, with the draws that have it; the most frequent first."""
+        names = np.array([*self.missing])
+        drawn, of = np.unique(np.array([*self.missing.values()]).T, axis=0, return_inverse=True)
+        order = np.argsort(-np.bincount(of.ravel()), kind="stable")
+        return {tuple(sorted(names[drawn[k]].tolist())): of.ravel() == k for k in order}
 
     def draws(self, name: str) -> Float[np.ndarray, " n"]:
         """Of one parameter; of an effect's size, those in which it is missing, if there are any."""
@@ -82,6 +93,28 @@ class Pruned:
         return values[chosen] if chosen.any() else values
 
 
+@dataclass(frozen=True)
+class _Round:
+    """Where a round begins: the expanded model, where to fit it from, how far sizes are held from their nulls (root
+    mean square, in typical ones), and what was recorded less the discrepancy that is known so far."""
+
+    expansion: Expansion
+    start: Float[np.ndarray, " d"]
+    rms: Float[np.ndarray, " sizes"]
+    observation: Observation
+
+    @classmethod
+    def first(cls, base: Fit, expansion: Expansion) -> "_Round":
+        start = np.concatenate([base.theta, expansion.rest[len(base.theta) :]])
+        return cls(expansion, start, np.full(len(expansion.sizes), WIDER), expansion.observed(base))
+
+    def widened(self, expansion: Expansion) -> "_Round":
+        """With more that is free, at its null."""
+        start = _by_name(self.expansion.space.parameters, self.start, expansion.space.parameters, expansion.rest)
+        rms = _by_name(self.expansion.sizes, self.rms, expansion.sizes, np.full(len(expansion.sizes), WIDER))
+        return _Round(expansion, start, rms, self.observation.freeing(expansion.space.parameters))
+
+
 def expand_and_prune(
     base: Fit,
     known: Sequence[Direction],
@@ -89,65 +122,73 @@ def expand_and_prune(
     *,
     prior: EffectPrior,
     rng: np.random.Generator,
-    belief: Belief = BELIEF,
-    chain: Chain = CHAIN,
+    budget: Budget = BUDGET,
 ) -> Pruned | None:
     """From the base model's fit on, with directions that are known to act and recordings that help to name, if any.
 
     None where the expanded model cannot be simulated.
     """
-    expansion = Expansion.of(base.simulator.space, known, prior)
-    whole = expansion.observed(base)
-    start = np.concatenate([base.theta, expansion.rest[len(base.theta) :]])
-    rms, observation, found = np.full(len(expansion.sizes), WIDER), whole, list[Pruned]()
-    for k in range(belief.rounds):
-        fit = expansion.fitted(observation, start, rms)
+    now, found = _Round.first(base, Expansion.of(base.simulator.space, known, prior)), list[Pruned]()
+    shared = Shared(spikes=(prior.negligible,))
+    for k in range(budget.rounds):
+        fit = now.expansion.fitted(now.observation, now.start, now.rms)
         if fit is None:
             break
-        fit = replace(fit, observation=replace(fit.observation, observed=whole.observed))
-        here = discrepancies(fit)
-        problem = linear_gaussian(expansion, [(fit, here), *_further(fit, naming)])
-        last = k >= belief.rounds - belief.pooled
-        drawn = sample(
-            problem.H, problem.b, groups_of(expansion, problem, belief), belief.shared, chain if last else FIRST, rng
-        )
-        found += [_pruned(expansion, fit, drawn)] if last else []
-        start, rms, observation = _again(expansion, fit, here, drawn)
+        fit = replace(fit, observation=replace(fit.observation, observed=base.observation.observed))
+        here, last = discrepancies(fit), k >= budget.rounds - budget.pooled
+        problem = linear_gaussian(now.expansion, [(fit, here), *_further(fit, naming)])
+        groups = groups_of(now.expansion, problem, prior)
+        drawn = sample(problem.H, problem.b, groups, shared, budget.last if last else budget.first, rng)
+        found += [_pruned(now.expansion, fit, here, drawn)] if last else []
+        now = _again(now, fit, here, drawn)
+        if k == 0:
+            spans = likeliest_spans(fit, known)
+            now = now.widened(Expansion.of(base.simulator.space, known, prior, spans))
     return _pooled(found) if found else None
 
 
+def _by_name(
+    known: Sequence[Parameter],
+    value: Float[np.ndarray, " k"],
+    wanted: Sequence[Parameter],
+    otherwise: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """Values of parameters by their names, and of those that are not known otherwise."""
+    of = {p.name: x for p, x in zip(known, value, strict=True)}
+    return np.array([of.get(p.name, x) for p, x in zip(wanted, otherwise, strict=True)])
+
+
 def _further(fit: Fit, naming: Observation | None) -> list[tuple[Fit, Sequence[Discrepancy]]]:
-    there = None if naming is None else elsewhere(fit, naming)
-    return [] if there is None else [(there, discrepancies(there))]
+    """The fit in recordings that help to name, with discrepancies of their own, if it can be simulated there."""
+    if naming is None:
+        return []
+    there = elsewhere(fit, naming, apart=True)
+    good = np.isfinite(there.at.y[there.simulator.windows.valid]).all()
+    return [(there, discrepancies(there))] if good else []
 
 
-def groups_of(expansion: Expansion, problem: LinearGaussian, belief: Belief) -> Groups:
-    """Each size by itself, then each discrepancy, with what is believed of them."""
-    sizes, others = len(expansion.sizes), len(problem.stop)
-    start = len(expansion.unit) - sizes
-    levels = 1 + max(len(belief.slabs), len(belief.amplitudes))
-    amplitude, share = np.zeros((sizes + others, levels)), np.zeros((sizes + others, levels))
-    amplitude[:, 0], share[:, 0] = np.repeat([1.0, belief.none], [sizes, others]), 1.0
-    amplitude[:sizes, 1 : 1 + len(belief.slabs)], share[:sizes, 1 : 1 + len(belief.slabs)] = (
-        belief.slabs,
-        belief.slab_shares,
-    )
-    weight = np.exp(-0.5 * (np.array(belief.amplitudes) / belief.discrepancy_scale) ** 2)
-    amplitude[sizes:, 1 : 1 + len(weight)], share[sizes:, 1 : 1 + len(weight)] = (
-        belief.amplitudes,
-        weight / weight.sum(),
-    )
-    odds = belief.odds * expansion.rates / (1.0 - expansion.rates)
+def groups_of(expansion: Expansion, problem: LinearGaussian, prior: EffectPrior) -> Groups:
+    """Each size by itself, profiles over time together, then each discrepancy, with what is believed of them."""
+    stop = np.cumsum(expansion.groups, dtype=np.int64)
+    named, others = len(stop), len(problem.stop)
+    start = len(expansion.unit) - len(expansion.sizes)
+    slabs, shares = np.array(prior.slabs).T
+    levels = 1 + max(len(slabs), len(AMPLITUDES))
+    amplitude, share = np.zeros((named + others, levels)), np.zeros((named + others, levels))
+    amplitude[:, 0], share[:, 0] = np.repeat([1.0, NOTHING], [named, others]), 1.0
+    amplitude[:named, 1 : 1 + len(slabs)], share[:named, 1 : 1 + len(slabs)] = slabs, shares / shares.sum()
+    half_normal = np.exp(-0.5 * AMPLITUDES**2)
+    amplitude[named:, 1:], share[named:, 1:] = prior.scale * AMPLITUDES, half_normal / half_normal.sum()
     sign = np.zeros(len(problem.b), dtype=np.int64)
-    sign[start : start + sizes] = expansion.sign
+    sign[start : start + len(expansion.sizes)] = expansion.sign
     return Groups(
         start=start,
-        stop=np.concatenate([start + 1 + np.arange(sizes), problem.stop]),
+        stop=np.concatenate([start + stop, problem.stop]),
         precision=np.ones(start),
         amplitude=amplitude,
         share=share,
-        rate=np.concatenate([odds / (1.0 + odds), np.full(others, belief.discrepancy_rate)]),
-        named=np.arange(sizes + others) < sizes,
+        rate=np.concatenate([expansion.rates[stop - 1], np.full(others, prior.discrepancy)]),
+        named=np.arange(named + others) < named,
         sign=sign,
     )
 
@@ -160,26 +201,25 @@ def _theta(expansion: Expansion, coefficient: Float[np.ndarray, "n columns"]) ->
     return np.clip(expansion.rest + expansion.unit * theta, space.low, space.high)
 
 
-def _pruned(expansion: Expansion, fit: Fit, drawn: Sampled) -> Pruned:
-    sizes = len(expansion.sizes)
-    return Pruned(
-        expansion, _theta(expansion, drawn.coefficient), drawn.included[:, :sizes], drawn.included[:, sizes:], fit
-    )
+def _pruned(expansion: Expansion, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -> Pruned:
+    named = len(expansion.groups)
+    included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
+    discrepant, first = drawn.included[:, named:], len(expansion.unit)
+    left = remainders(fit, here, drawn.coefficient[:, first:], discrepant)
+    return Pruned(expansion, _theta(expansion, drawn.coefficient), included, discrepant, fit, left)
 
 
-def _again(
-    expansion: Expansion, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled
-) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, " sizes"], Observation]:
+def _again(now: _Round, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -> _Round:
     """Where to fit next, how strongly to shrink, and what was recorded less the discrepancy that was found."""
+    expansion, x = now.expansion, drawn.coefficient
     first = len(expansion.unit)
-    x = drawn.coefficient
     rms = np.maximum(np.sqrt(np.mean(x[:, first - len(expansion.sizes) : first] ** 2, axis=0)), LEAST_RMS)
     mean, series = x.mean(axis=0), np.zeros_like(fit.at.y)
     for one in here:
         series += np.tensordot(mean[first : first + len(one.series)], one.series, axes=1)
         first += len(one.series)
     observed = np.where(fit.simulator.windows.valid, fit.observation.observed - series, 0.0)
-    return _theta(expansion, mean[None])[0], rms, replace(fit.observation, observed=observed)
+    return _Round(expansion, _theta(expansion, mean[None])[0], rms, replace(fit.observation, observed=observed))
 
 
 def _pooled(found: Sequence[Pruned]) -> Pruned:
@@ -187,4 +227,4 @@ def _pooled(found: Sequence[Pruned]) -> Pruned:
     theta, included, discrepant = (
         np.concatenate([getattr(one, name) for one in found]) for name in ("theta", "included", "discrepant")
     )
-    return Pruned(found[-1].expansion, theta, included, discrepant, found[-1].fit)
+    return replace(found[-1], theta=theta, included=included, discrepant=discrepant)

@@ -1,0 +1,31 @@
+"""A fitted model in recordings that it was not fitted to."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from vehicle_sbi.inference.directions import null
+from vehicle_sbi.mismatch.fit import Fit, Observation, linearise
+from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.physics.effects import CATALOGUE
+
+
+def elsewhere(fit: Fit, observation: Observation, *, apart: bool) -> Fit:
+    """A fit at its own parameters and noise there.
+
+    What happened at a moment of the recordings that it was fitted to did not happen in others, which are `apart`,
+    rather than other times of the same.
+    """
+    space, simulator = fit.simulator.space, observation.simulator
+    absent = np.array([apart and _timed(p) for p in space.parameters])
+    theta = np.array([null(p) if gone else x for p, x, gone in zip(space.parameters, fit.theta, absent, strict=True)])
+    noise = replace(fit.simulator.noise, window=simulator.windows.t.shape[1])
+    simulator = replace(simulator, space=space, noise=noise, substeps=max(simulator.substeps, fit.simulator.substeps))
+    at = linearise(simulator, theta)
+    return Fit(observation.extended(simulator), theta, replace(at, J=np.where(absent[:, None, None], 0.0, at.J)))
+
+
+def _timed(p: Parameter) -> bool:
+    """Whether a parameter belongs to an effect that is tied to the clock of the recording it was fitted to."""
+    effect = CATALOGUE.get(p.name.split(".")[0])
+    return effect is not None and effect.timed

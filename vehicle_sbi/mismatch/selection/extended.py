@@ -1,0 +1,87 @@
+"""The model to go on with: the base model with the likeliest set of effects, fitted again."""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vehicle_sbi.mismatch.estimation.expansion import WIDER
+from vehicle_sbi.mismatch.estimation.model import Model
+from vehicle_sbi.mismatch.fit import Fit
+from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
+
+ALIKE = 0.05  # least probability of an effect that may stand for another
+INSTEAD = -0.3  # correlation of two effects' being there, from which they stand for each other
+NEEDED = 0.5  # probability that an effect has a size, or that one of several is missing
+
+
+@dataclass(frozen=True)
+class Extended:
+    """The likeliest model, and the one that has another effect in the place of one of its own, if there is one that
+    these recordings cannot tell from it."""
+
+    model: Model
+    other: Model | None
+
+
+def extended(base: Fit, pruned: Pruned | None, detected: bool) -> Extended:
+    """The base model itself where nothing is detected, or nothing is likelier than any effect."""
+    none = Model((), base, base.simulator.space.names)
+    if pruned is None or not detected:
+        return Extended(none, None)
+    effects = next(iter(pruned.sets))
+    model = with_effects(base, pruned, effects) if effects else none
+    if model is None:
+        return Extended(none, None)
+    exchanged = _exchanged(pruned, effects)
+    return Extended(model, with_effects(base, pruned, exchanged) if exchanged else None)
+
+
+def with_effects(base: Fit, pruned: Pruned, effects: Collection[str]) -> Model | None:
+    """The base model with some effects, by the sizes that each mostly has; None if it cannot be simulated."""
+    expansion = pruned.expansion.only(_sizes(pruned, effects))
+    simulator = replace(base.simulator, substeps=pruned.fit.simulator.substeps)
+    observation = base.observation.extended(simulator).freeing(expansion.space.parameters)
+    start = np.array([pruned.draws(p.name).mean() for p in expansion.space.parameters])
+    fit = expansion.fitted(observation, start, np.full(len(expansion.sizes), WIDER))
+    return None if fit is None else Model(tuple(sorted(effects)), fit, base.simulator.space.names)
+
+
+def _sizes(pruned: Pruned, effects: Collection[str]) -> list[str]:
+    """Of each effect those sizes that it has in most draws in which it is missing, the most frequent one at least."""
+    found = list[str]()
+    for effect in effects:
+        there = pruned.missing[effect]
+        names = [p.name for p in pruned.expansion.sizes]
+        own = [k for k, name in enumerate(names) if name.split(".")[0] == effect]
+        share = pruned.included[there][:, own].mean(axis=0)
+        found += [names[k] for k, s in zip(own, share, strict=True) if s > NEEDED or s == share.max()]
+    return found
+
+
+def _exchanged(pruned: Pruned, effects: tuple[str, ...]) -> tuple[str, ...]:
+    """The set with the likeliest effect that stands for one of its own in that one's place; empty if there is none."""
+    for group in alternatives(pruned):
+        own = [name for name in group if name in effects]
+        others = sorted((name for name in group if name not in effects), key=lambda name: -pruned.effects[name])
+        if own and others:
+            return tuple(sorted({*effects, others[0]} - {own[0]}))
+    return ()
+
+
+def alternatives(pruned: Pruned) -> list[list[str]]:
+    """Groups of effects that stand for each other: where one is missing, another is not; one of them is likely to be.
+
+    The likeliest group first, and the likeliest effect in it.
+    """
+    names = [name for name, p in pruned.effects.items() if ALIKE <= p <= 1.0 - ALIKE]
+    if len(names) < 2:
+        return []
+    apart = np.corrcoef([pruned.missing[name] for name in names]) < INSTEAD
+    groups, left = list[list[str]](), set(names)
+    for k, name in enumerate(names):
+        if name in left:
+            group = [name, *(other for other, a in zip(names, apart[k], strict=True) if a and other in left)]
+            left -= {*group}
+            groups += [group] if len(group) > 1 and pruned.any_of(group) > NEEDED else []
+    return sorted(groups, key=lambda group: -pruned.any_of(group))
