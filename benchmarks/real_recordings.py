@@ -19,8 +19,7 @@ import pandas as pd
 from gathering import RESULTS, ROOT
 
 from vehicle_sbi.files import write_text
-from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.verdict import chosen, estimates
+from vehicle_sbi.mismatch.selection.extended import Extended
 from vehicle_sbi.physics.effects import KNOTS
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.report.stage_file import read
@@ -55,9 +54,8 @@ def diagnosed(name: str) -> Verdict:
 def grade(name: str) -> tuple[float, float, float]:
     """Of the posterior's mean profile against the true one, over the seconds that were fitted: correlation, root mean
     square error [deg], the same without its mean."""
-    found = read(RUNS / name / "stages" / "sizes.npz", Explanation)
-    model = chosen(found)
-    windows, said = model.fit.simulator.windows, estimates(model, found.temper)
+    model = read(RUNS / name / "stages" / "extended.npz", Extended).model
+    windows, said = model.fit.simulator.windows, model.estimates
     fitted = windows.valid.any(axis=0)
     clock, t = (x.reshape(-1)[fitted] for x in (windows.u[..., INPUTS.index("time")], windows.t))
     names = [f"road_grade_profile.angle_{k}" for k in range(KNOTS)]

@@ -8,8 +8,9 @@ from studies import constant_noise, simulator
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.directions import responses
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch.fit import Fit, Observation
-from vehicle_sbi.mismatch.search import best
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.multistart import best
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 from vehicle_sbi.physics.single_track import INPUTS
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from recorded import lateral, recorded
 
-from vehicle_sbi.mismatch.acceptance import ALIKE, judged, spreads
-from vehicle_sbi.mismatch.fit import Observation
-from vehicle_sbi.mismatch.improve import Gain, Prediction
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection.acceptance import ALIKE, judged, spreads
+from vehicle_sbi.mismatch.selection.predictive import Gain, Prediction
 
 SERIES, SCORE = np.zeros((1, 4)), np.zeros(2)
 CERTAIN = Gain(0.5, 0.1, 0.3, 0.7)

@@ -8,11 +8,11 @@ from recorded import fitted, lateral, recorded
 from vehicle_sbi.data.windows import joined
 from vehicle_sbi.inference.directions import directions
 from vehicle_sbi.mismatch.agreement import disagreeing, p_same
-from vehicle_sbi.mismatch.examine import Model, glance, versions
+from vehicle_sbi.mismatch.estimation.linearised import Linearised
 from vehicle_sbi.mismatch.explain import extended
-from vehicle_sbi.mismatch.fit import Observation
-from vehicle_sbi.mismatch.linear import Linearised
-from vehicle_sbi.mismatch.repertoire import Repertoire
+from vehicle_sbi.mismatch.hypotheses.dictionary import Repertoire
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection.detection import Model, glance, versions
 from vehicle_sbi.physics.effects import CATALOGUE
 
 

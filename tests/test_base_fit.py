@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.base_fit import as_stated, likelier, off_rims
-from vehicle_sbi.mismatch.examine import Model
+from vehicle_sbi.mismatch.answer.verdict import _cornered, _rim
+from vehicle_sbi.mismatch.estimation.base_fit import as_stated, likelier, off_rims
+from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.explain import off_its_rims
-from vehicle_sbi.mismatch.fit import Fit, Observation, linearise
-from vehicle_sbi.mismatch.verdict import _cornered, _rim
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection.detection import Model
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 
 

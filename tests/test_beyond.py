@@ -8,9 +8,9 @@ from recorded import fitted, lateral, recorded
 
 from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.mismatch.beyond import Beyond, let_out, on_rim
-from vehicle_sbi.mismatch.examine import Model
 from vehicle_sbi.mismatch.explain import explain
-from vehicle_sbi.mismatch.fit import Observation
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection.detection import Model
 from vehicle_sbi.mismatch.unnamed import beyond_boxes
 from vehicle_sbi.parameters import ParameterSpace
 

@@ -17,8 +17,8 @@ from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.directions import longest
 from vehicle_sbi.mismatch.belief import Belief
-from vehicle_sbi.mismatch.case import Diagnosis, _shares
-from vehicle_sbi.mismatch.locate import Block, lies_in, own_time, stretches
+from vehicle_sbi.mismatch.hypotheses.block import Block, lies_in, own_time, stretches
+from vehicle_sbi.mismatch.problem.case import Diagnosis, _shares
 from vehicle_sbi.physics.single_track import INPUTS
 
 PRIOR = {"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3], "delta_C_alpha_r": [-0.3, 0.3]}

@@ -9,9 +9,9 @@ from scipy.integrate import quad
 from scipy.stats import kstest
 
 from vehicle_sbi.inference.directions import directions, slopes
-from vehicle_sbi.mismatch.detect import Scores, score
-from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.locate import bump, clock, stretches
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.hypotheses.block import bump, clock, stretches
+from vehicle_sbi.mismatch.selection.score_test import Scores, score
 from vehicle_sbi.physics.effects import CATALOGUE
 
 

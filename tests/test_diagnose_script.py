@@ -22,9 +22,9 @@ from test_stage_file import Trap
 
 from vehicle_sbi.inference.directions import Direction
 from vehicle_sbi.inference.prior import parameter_space
+from vehicle_sbi.mismatch.design.identifiability import Card
+from vehicle_sbi.mismatch.estimation.fit_check import Gate
 from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.gate import Gate
-from vehicle_sbi.mismatch.separability import Card
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.report.diagnosis import AtOnce, Begun

@@ -13,8 +13,8 @@ from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.prior import parameter_space, unused
 from vehicle_sbi.inference.setup import Setup
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch.cannot_act import MEASURED_INSTEAD
-from vehicle_sbi.mismatch.separability import Card, card
+from vehicle_sbi.mismatch.design.cannot_act import MEASURED_INSTEAD
+from vehicle_sbi.mismatch.design.identifiability import Card, card
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS, MEASUREMENTS
 from vehicle_sbi.physics.simulation import MODELS

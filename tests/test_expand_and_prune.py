@@ -9,8 +9,8 @@ from test_effect_prior import stated
 
 from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
+from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import linear_gaussian, order
-from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.hypotheses.discrepancy import discrepancies
 from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned, expand_and_prune
 from vehicle_sbi.mismatch.selection.inclusion import Chain

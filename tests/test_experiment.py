@@ -13,9 +13,19 @@ from studies import constant_noise, simulator
 from vehicle_sbi.inference.directions import responses
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch import experiment, verdict
-from vehicle_sbi.mismatch.examine import Model
-from vehicle_sbi.mismatch.experiment import HIDDEN, MENU, WORTH, Experiment, advice, menu, separation, separations
-from vehicle_sbi.mismatch.fit import Observation, linearise
+from vehicle_sbi.mismatch.design.experiment import (
+    HIDDEN,
+    MENU,
+    WORTH,
+    Experiment,
+    advice,
+    menu,
+    separation,
+    separations,
+)
+from vehicle_sbi.mismatch.estimation.fit import linearise
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection.detection import Model
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, KNOTS
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS

@@ -7,13 +7,14 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
 from vehicle_sbi.inference.directions import left_out
+from vehicle_sbi.mismatch.answer.verdict import estimates, places
 from vehicle_sbi.mismatch.belief import Belief
-from vehicle_sbi.mismatch.examine import Model, examine, versions
+from vehicle_sbi.mismatch.estimation.fit import descend, settled
 from vehicle_sbi.mismatch.explain import exchanged, explain, extended
 from vehicle_sbi.mismatch.explanation import LAPSE, Explanation
-from vehicle_sbi.mismatch.fit import Observation, descend, settled
-from vehicle_sbi.mismatch.repertoire import Repertoire
-from vehicle_sbi.mismatch.verdict import estimates, places
+from vehicle_sbi.mismatch.hypotheses.dictionary import Repertoire
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection.detection import Model, examine, versions
 from vehicle_sbi.physics.single_track import INPUTS
 
 

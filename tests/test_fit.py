@@ -9,8 +9,9 @@ from scipy.stats import multivariate_normal
 
 from vehicle_sbi.inference.directions import within
 from vehicle_sbi.inference.information import sensitivity
-from vehicle_sbi.mismatch.fit import Fit, Metric, Observation, linearise, with_own_noise
-from vehicle_sbi.mismatch.search import best, likeliest
+from vehicle_sbi.mismatch.estimation.fit import Fit, Metric, linearise, with_own_noise
+from vehicle_sbi.mismatch.estimation.multistart import best, likeliest
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.physics.single_track import INPUTS

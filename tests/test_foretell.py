@@ -9,14 +9,15 @@ from scipy.stats import kstest
 
 from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch.case import halves
-from vehicle_sbi.mismatch.examine import Model
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.linearised import Linearised
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.explanation import DOUBTED, Explanation, doubted
-from vehicle_sbi.mismatch.fit import Fit, Observation
 from vehicle_sbi.mismatch.foretell import foretold
-from vehicle_sbi.mismatch.linear import Linearised
 from vehicle_sbi.mismatch.loose import courses
+from vehicle_sbi.mismatch.problem.case import halves
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection.detection import Model
 from vehicle_sbi.physics.single_track import INPUTS
 
 

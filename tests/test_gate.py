@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from recorded import fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.fit import Fit, linearise
-from vehicle_sbi.mismatch.gate import GAP, TRUSTED, Gate, gate, pareto_k, through
+from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
+from vehicle_sbi.mismatch.estimation.fit_check import GAP, TRUSTED, Gate, gate, pareto_k, through
 
 
 @pytest.mark.parametrize("k", [0.3, 0.9])

@@ -17,16 +17,17 @@ inference.prior inference.effect_prior inference.spike_slab inference.simulator 
 inference.embedding inference.emulator
 inference.features inference.estimator inference.training inference.proposal inference.rounds inference.predictive
 inference.directions inference.plausible inference.study inference.calibration
-mismatch.belief mismatch.cannot_act mismatch.separability mismatch.fit mismatch.search
-mismatch.full_model mismatch.base_fit mismatch.gate mismatch.case
-mismatch.locate mismatch.laws mismatch.linear mismatch.staircase mismatch.stiction mismatch.detect mismatch.onset
-mismatch.estimation.expansion mismatch.hypotheses.discrepancy mismatch.estimation.linear_gaussian
-mismatch.selection.inclusion mismatch.selection.expand_and_prune
-mismatch.loose mismatch.latent mismatch.repertoire mismatch.beyond mismatch.examine mismatch.foretell mismatch.needed
-mismatch.support
-mismatch.agreement mismatch.explanation mismatch.unnamed mismatch.explain mismatch.sampled mismatch.reinfer
-mismatch.experiment mismatch.improve mismatch.acceptance mismatch.answer mismatch.model_average mismatch.wording
-mismatch.verdict
+mismatch.problem.observation mismatch.problem.case
+mismatch.estimation.estimate mismatch.estimation.fit mismatch.estimation.model mismatch.estimation.elsewhere
+mismatch.estimation.multistart mismatch.estimation.base_fit mismatch.estimation.fit_check
+mismatch.estimation.linearised mismatch.estimation.expansion mismatch.estimation.linear_gaussian
+mismatch.hypotheses.block mismatch.hypotheses.regressor mismatch.hypotheses.quantisation
+mismatch.hypotheses.discrepancy mismatch.hypotheses.spans mismatch.hypotheses.dictionary
+mismatch.selection.score_test mismatch.selection.detection mismatch.selection.inclusion
+mismatch.selection.expand_and_prune mismatch.selection.extended mismatch.selection.reinfer
+mismatch.selection.predictive mismatch.selection.acceptance
+mismatch.design.cannot_act mismatch.design.identifiability mismatch.design.experiment
+mismatch.answer.schema mismatch.answer.wording mismatch.answer.verdict mismatch.pipeline
 report.run_folder report.stage_file report.tables report.density report.figures report.mismatch_figures
 report.catalogue report.page report.card report.extended report.results report.diagnosis
 report.observability report.autoware

@@ -9,12 +9,12 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from vehicle_sbi.inference.directions import left_out
-from vehicle_sbi.mismatch.examine import Model, examine, versions
 from vehicle_sbi.mismatch.explain import extended
-from vehicle_sbi.mismatch.fit import Observation
 from vehicle_sbi.mismatch.foretell import foretold
-from vehicle_sbi.mismatch.improve import Gain, Prediction, crps, gain, predict
-from vehicle_sbi.mismatch.repertoire import Repertoire
+from vehicle_sbi.mismatch.hypotheses.dictionary import Repertoire
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection.detection import Model, examine, versions
+from vehicle_sbi.mismatch.selection.predictive import Gain, Prediction, crps, gain, predict
 from vehicle_sbi.physics.single_track import INPUTS
 
 

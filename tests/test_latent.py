@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
+from vehicle_sbi.mismatch.estimation.linearised import Linearised, profile
+from vehicle_sbi.mismatch.hypotheses.block import bump, clock, stretches
+from vehicle_sbi.mismatch.hypotheses.regressor import Law, law_slopes, targets, under
 from vehicle_sbi.mismatch.latent import latents, what_it_takes
-from vehicle_sbi.mismatch.laws import Law, law_slopes, targets, under
-from vehicle_sbi.mismatch.linear import Linearised, profile
-from vehicle_sbi.mismatch.locate import bump, clock, stretches
 
 
 def test_the_bumps_of_all_stretches_add_up_to_one() -> None:

@@ -9,8 +9,8 @@ from recorded import TRUTH, fitted, lateral, recorded
 from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.fit import Observation
-from vehicle_sbi.mismatch.laws import Law, law_slopes, laws, moved, under
+from vehicle_sbi.mismatch.hypotheses.regressor import Law, law_slopes, laws, moved, under
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.physics.single_track import INPUTS
 
 

@@ -7,8 +7,8 @@ from recorded import TRUTH, fitted, lateral, recorded
 from scipy.optimize import lsq_linear
 
 from vehicle_sbi.inference.directions import directions, slopes
-from vehicle_sbi.mismatch.linear import Linearised, _bounded, profile
-from vehicle_sbi.mismatch.search import best
+from vehicle_sbi.mismatch.estimation.linearised import Linearised, _bounded, profile
+from vehicle_sbi.mismatch.estimation.multistart import best
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 

@@ -8,12 +8,12 @@ from recorded import fitted, lateral, recorded
 from scipy.integrate import quad
 
 from vehicle_sbi.inference.directions import left_out
+from vehicle_sbi.mismatch.estimation.linearised import Linearised, gained_at_random, profile
 from vehicle_sbi.mismatch.explain import explain
-from vehicle_sbi.mismatch.fit import Observation
-from vehicle_sbi.mismatch.laws import targets
-from vehicle_sbi.mismatch.linear import Linearised, gained_at_random, profile
-from vehicle_sbi.mismatch.locate import bump, clock, stretches
+from vehicle_sbi.mismatch.hypotheses.block import bump, clock, stretches
+from vehicle_sbi.mismatch.hypotheses.regressor import targets
 from vehicle_sbi.mismatch.loose import courses, deviations
+from vehicle_sbi.mismatch.problem.observation import Observation
 
 YAW = "error of the sensor of yaw_rate"
 

@@ -8,12 +8,12 @@ from recorded import TRUTH, fitted, lateral, recorded
 from scipy.stats import truncnorm
 
 from vehicle_sbi.inference.directions import left_out
-from vehicle_sbi.mismatch.examine import Model
+from vehicle_sbi.mismatch.estimation.fit import Fit, descend, log_volume
 from vehicle_sbi.mismatch.explain import explain
 from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.fit import Fit, descend, log_volume
 from vehicle_sbi.mismatch.full_model import free_at_once, full_model
 from vehicle_sbi.mismatch.model_average import averaged
+from vehicle_sbi.mismatch.selection.detection import Model
 from vehicle_sbi.mismatch.support import unsupported
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import expit, logit
 
-from vehicle_sbi.mismatch.fit import Shrinkage
+from vehicle_sbi.mismatch.estimation.fit import Shrinkage
 from vehicle_sbi.mismatch.needed import RATE, needed
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS

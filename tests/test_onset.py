@@ -8,13 +8,14 @@ from recorded import TRUTH, fitted, lateral, recorded
 from scipy.integrate import quad
 
 from vehicle_sbi.inference.directions import left_out, tile
-from vehicle_sbi.mismatch.answer import Estimate, Followed
+from vehicle_sbi.mismatch.answer.schema import Estimate, Followed
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.linearised import Linearised, profile
 from vehicle_sbi.mismatch.explain import explain
-from vehicle_sbi.mismatch.fit import Fit, Observation
-from vehicle_sbi.mismatch.laws import Law, followed, targets, under
-from vehicle_sbi.mismatch.linear import Linearised, profile
-from vehicle_sbi.mismatch.locate import Stretch, clock
+from vehicle_sbi.mismatch.hypotheses.block import Stretch, clock
+from vehicle_sbi.mismatch.hypotheses.regressor import Law, followed, targets, under
 from vehicle_sbi.mismatch.onset import FINER, Onset, at, changes, moments, onsets, refined
+from vehicle_sbi.mismatch.problem.observation import Observation
 
 MOMENT = "moment about z"
 SETS_IN, SIZE = 7.9, 400.0  # [s], [N m]

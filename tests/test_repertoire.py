@@ -7,9 +7,9 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
 from vehicle_sbi.inference.directions import STEPS, directions, shared, slopes
-from vehicle_sbi.mismatch.examine import NEAR, Model, glance, versions
-from vehicle_sbi.mismatch.fit import linearise
-from vehicle_sbi.mismatch.repertoire import Repertoire
+from vehicle_sbi.mismatch.estimation.fit import linearise
+from vehicle_sbi.mismatch.hypotheses.dictionary import Repertoire
+from vehicle_sbi.mismatch.selection.detection import NEAR, Model, glance, versions
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.physics.single_track import INPUTS
 

@@ -7,9 +7,10 @@ import pytest
 from recorded import TRUTH, lateral, recorded
 
 from vehicle_sbi.inference.directions import within
-from vehicle_sbi.mismatch.examine import Model
-from vehicle_sbi.mismatch.fit import Observation, descend, with_own_noise
+from vehicle_sbi.mismatch.estimation.fit import descend, with_own_noise
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.sampled import _step, sampled
+from vehicle_sbi.mismatch.selection.detection import Model
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 

@@ -9,7 +9,7 @@ from studies import constant_noise, simulator
 from vehicle_sbi.inference.directions import directions, slopes
 from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch.separability import SEEN, Card, card
+from vehicle_sbi.mismatch.design.identifiability import SEEN, Card, card
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.physics.single_track import INPUTS

@@ -16,15 +16,15 @@ from recorded import TRUTH, lateral, recorded
 
 from vehicle_sbi.inference.directions import directions
 from vehicle_sbi.mismatch.belief import Belief
-from vehicle_sbi.mismatch.detect import Group, Scores
-from vehicle_sbi.mismatch.examine import Examined, Model
+from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
+from vehicle_sbi.mismatch.estimation.fit_check import Gate
 from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.fit import Fit, linearise
-from vehicle_sbi.mismatch.gate import Gate
-from vehicle_sbi.mismatch.laws import laws
-from vehicle_sbi.mismatch.locate import Block, Stretch
+from vehicle_sbi.mismatch.hypotheses.block import Block, Stretch
+from vehicle_sbi.mismatch.hypotheses.dictionary import Inventory
+from vehicle_sbi.mismatch.hypotheses.regressor import laws
 from vehicle_sbi.mismatch.onset import Onset
-from vehicle_sbi.mismatch.repertoire import Inventory
+from vehicle_sbi.mismatch.selection.detection import Examined, Model
+from vehicle_sbi.mismatch.selection.score_test import Group, Scores
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE, RECORD
 from vehicle_sbi.report.stage_file import StageFileError, dataclasses_in, read, write
@@ -137,7 +137,7 @@ def test_classes_are_those_of_the_expected_type() -> None:
     assert {"Explanation", "Fit", "Parameter", "Law", "Onset", "Beyond"} <= {
         one.__name__ for one in dataclasses_in(Explanation).values()
     }
-    assert [*dataclasses_in(tuple[Gate, ...])] == ["vehicle_sbi.mismatch.gate.Gate"]
+    assert [*dataclasses_in(tuple[Gate, ...])] == ["vehicle_sbi.mismatch.estimation.fit_check.Gate"]
 
 
 def refused(path: Path, kind: Any = Explanation) -> bool:
@@ -176,7 +176,7 @@ def altered(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     [
         lambda tree: tree.update(version="0"),
         lambda tree: tree["nodes"][0].__setitem__(0, "builtins.print"),
-        lambda tree: tree["nodes"][0].__setitem__(0, "vehicle_sbi.mismatch.fit.Fit"),
+        lambda tree: tree["nodes"][0].__setitem__(0, "vehicle_sbi.mismatch.estimation.fit.Fit"),
         lambda tree: tree["nodes"][0][1].update(k="large"),
         lambda tree: tree["nodes"][0][1].update(gap=[0]),
         lambda tree: tree["nodes"][0][1].update(k={"O": 1.0}),

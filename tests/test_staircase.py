@@ -7,10 +7,18 @@ import pytest
 from recorded import fitted, lateral, recorded
 from scipy.stats import kstest
 
-from vehicle_sbi.mismatch.fit import Observation
-from vehicle_sbi.mismatch.linear import Linearised
+from vehicle_sbi.mismatch.estimation.linearised import Linearised
+from vehicle_sbi.mismatch.hypotheses.quantisation import (
+    COARSEST,
+    FINEST,
+    PHASE,
+    Staircase,
+    Staircases,
+    _steps,
+    rounding,
+)
 from vehicle_sbi.mismatch.loose import loose
-from vehicle_sbi.mismatch.staircase import COARSEST, FINEST, PHASE, Staircase, Staircases, _steps, rounding
+from vehicle_sbi.mismatch.problem.observation import Observation
 
 YAW = 2  # channel
 

@@ -8,10 +8,10 @@ from recorded import fitted, lateral, recorded
 
 from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.mismatch.estimation.linearised import Linearised
 from vehicle_sbi.mismatch.explain import explain
-from vehicle_sbi.mismatch.fit import Observation
-from vehicle_sbi.mismatch.laws import STEERING, targets
-from vehicle_sbi.mismatch.linear import Linearised
+from vehicle_sbi.mismatch.hypotheses.regressor import STEERING, targets
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.stiction import SPACING, likeliest, stuck, thresholds
 from vehicle_sbi.physics.single_track import INPUTS
 

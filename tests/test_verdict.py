@@ -14,12 +14,12 @@ from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Score
 from vehicle_sbi.inference.rounds import Truncated
 from vehicle_sbi.inference.training import Training
-from vehicle_sbi.mismatch.examine import Model, versions
+from vehicle_sbi.mismatch.answer.verdict import _unsupported, estimates, exchangeable
+from vehicle_sbi.mismatch.answer.wording import sentence
+from vehicle_sbi.mismatch.design.identifiability import card
 from vehicle_sbi.mismatch.explain import explain, extended
-from vehicle_sbi.mismatch.reinfer import Reinference
-from vehicle_sbi.mismatch.separability import card
-from vehicle_sbi.mismatch.verdict import _unsupported, estimates, exchangeable
-from vehicle_sbi.mismatch.wording import sentence
+from vehicle_sbi.mismatch.selection.detection import Model, versions
+from vehicle_sbi.mismatch.selection.reinfer import Reinference
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.report import diagnosis
 

@@ -17,10 +17,11 @@ from concealed.strength import Noise
 from vehicle_sbi.data.readers import read
 from vehicle_sbi.data.windows import joined
 from vehicle_sbi.files import write_text
-from vehicle_sbi.mismatch.case import halves
+from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.fit import Fit, Observation, linearise
-from vehicle_sbi.mismatch.improve import predict
+from vehicle_sbi.mismatch.problem.case import halves
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection.predictive import predict
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 

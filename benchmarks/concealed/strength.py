@@ -4,7 +4,8 @@
 
 d is the change of the series, J the sensitivities of the fitted parameters theta (in units of their prior's standard
 deviation) and of the initial states eta (of theirs), all whitened by the true noise; M is that of
-`vehicle_sbi.mismatch.separability`, taken here in two steps: the initial states of a window act in that window alone.
+`vehicle_sbi.mismatch.design.identifiability`, taken here in two steps: the initial states of a window act in that
+window alone.
 """
 
 from collections.abc import Mapping, Sequence

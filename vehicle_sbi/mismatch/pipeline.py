@@ -7,19 +7,19 @@ from typing import TypeVar
 import numpy as np
 
 from vehicle_sbi.inference.directions import Direction, left_out
-from vehicle_sbi.mismatch.answer import Verdict
-from vehicle_sbi.mismatch.base_fit import fitted
-from vehicle_sbi.mismatch.case import Case
+from vehicle_sbi.mismatch.answer.schema import Verdict
+from vehicle_sbi.mismatch.answer.verdict import Found, verdict
+from vehicle_sbi.mismatch.design.identifiability import Card, card
+from vehicle_sbi.mismatch.estimation.base_fit import fitted
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.fit_check import Gate, through
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.examine import Examined, examine
-from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.gate import Gate, through
-from vehicle_sbi.mismatch.improve import Gain, Prediction, gain, predict
-from vehicle_sbi.mismatch.repertoire import Repertoire
+from vehicle_sbi.mismatch.hypotheses.dictionary import Repertoire
+from vehicle_sbi.mismatch.problem.case import Case
+from vehicle_sbi.mismatch.selection.detection import Examined, examine
 from vehicle_sbi.mismatch.selection.expand_and_prune import BUDGET, Budget, Pruned, expand_and_prune
 from vehicle_sbi.mismatch.selection.extended import Extended, extended
-from vehicle_sbi.mismatch.separability import Card, card
-from vehicle_sbi.mismatch.verdict import Found, verdict
+from vehicle_sbi.mismatch.selection.predictive import Gain, Prediction, gain, predict
 
 STEPS = {
     "fit": "fitting the base model",

@@ -2,7 +2,8 @@
 
 import pandas as pd
 
-from vehicle_sbi.mismatch.separability import POWER, TAKING, Card
+from vehicle_sbi.inference.information import POWER
+from vehicle_sbi.mismatch.design.identifiability import TAKING, Card
 
 LEGEND = (
     f"shows from: how far off its null an effect is seen with a power of {POWER:.0%}; left by the fit: the share of "

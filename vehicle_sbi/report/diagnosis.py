@@ -11,12 +11,12 @@ import pandas as pd
 from tqdm import tqdm
 
 from vehicle_sbi.files import write_text
-from vehicle_sbi.mismatch.answer import Verdict, listed
-from vehicle_sbi.mismatch.case import Case
+from vehicle_sbi.mismatch.answer.schema import Verdict, listed
+from vehicle_sbi.mismatch.answer.verdict import Found, verdict
 from vehicle_sbi.mismatch.estimation.estimate import quantity
-from vehicle_sbi.mismatch.locate import spoken
+from vehicle_sbi.mismatch.hypotheses.block import spoken
 from vehicle_sbi.mismatch.pipeline import STEPS, steps
-from vehicle_sbi.mismatch.verdict import Found, verdict
+from vehicle_sbi.mismatch.problem.case import Case
 from vehicle_sbi.report.card import LEGEND, could_show, hidden
 from vehicle_sbi.report.extended import extended
 from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
@@ -35,7 +35,7 @@ Result = TypeVar("Result")
 _log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
-    from vehicle_sbi.mismatch.reinfer import Reinference
+    from vehicle_sbi.mismatch.selection.reinfer import Reinference
 
 
 def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, *, seed: int, figures: bool) -> None:

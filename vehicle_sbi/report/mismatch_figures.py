@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from vehicle_sbi.data.channels import CHANNELS
-from vehicle_sbi.mismatch.answer import Verdict
-from vehicle_sbi.mismatch.fit import Observation
-from vehicle_sbi.mismatch.improve import Prediction
-from vehicle_sbi.mismatch.verdict import Found
+from vehicle_sbi.mismatch.answer.schema import Verdict
+from vehicle_sbi.mismatch.answer.verdict import Found
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection.predictive import Prediction
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.report.figures import MEASURED, POSTERIOR, PRIOR, STYLE, TRUTH, key, save

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from vehicle_sbi.inference.directions import null
-from vehicle_sbi.mismatch.fit import Fit, Observation, linearise
+from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE
 

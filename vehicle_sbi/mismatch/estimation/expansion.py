@@ -15,7 +15,8 @@ from jaxtyping import Float
 from vehicle_sbi.inference.directions import Direction, null
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.setup import slowest
-from vehicle_sbi.mismatch.fit import DAMPING, Fit, Observation, Shrinkage, descend, relinearised, with_own_noise
+from vehicle_sbi.mismatch.estimation.fit import DAMPING, Fit, Shrinkage, descend, relinearised, with_own_noise
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.simulation import substeps_for
 

@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
-from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy
+from vehicle_sbi.mismatch.estimation.fit import Fit
 
 
 @dataclass(frozen=True)
@@ -27,15 +26,18 @@ class LinearGaussian:
     stop: Int[np.ndarray, " groups"]
 
 
-def linear_gaussian(expansion: Expansion, parts: Sequence[tuple[Fit, Sequence[Discrepancy]]]) -> LinearGaussian:
-    """Of fits of the same point of the expanded model to several recordings, each with its own discrepancies."""
+def linear_gaussian(
+    expansion: Expansion, parts: Sequence[tuple[Fit, Sequence[Float[np.ndarray, "q samples"]]]]
+) -> LinearGaussian:
+    """Of fits of the same point of the expanded model to several recordings, each with its own discrepancies' columns
+    (whitened)."""
     first = len(expansion.unit)
-    widths = [len(one.whitened) for _, found in parts for one in found]
+    widths = [len(one) for _, found in parts for one in found]
     n = first + sum(widths)
     H, b, at = np.zeros((n, n)), np.zeros(n), first
     for fit, found in parts:
         X, r = _columns(expansion, fit)
-        X = np.concatenate([X, *(one.whitened for one in found)])
+        X = np.concatenate([X, *found])
         where = np.concatenate([np.arange(first), at + np.arange(len(X) - first)])
         H[np.ix_(where, where)] += X @ X.T
         b[where] += X @ r

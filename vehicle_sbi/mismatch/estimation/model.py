@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from scipy.stats import truncnorm
 
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, drawn
-from vehicle_sbi.mismatch.fit import Fit
+from vehicle_sbi.mismatch.estimation.fit import Fit
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.laws import STEADY, Law, Target, law_slopes, signals, targets
-from vehicle_sbi.mismatch.locate import bump, clock
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.hypotheses.block import bump, clock
+from vehicle_sbi.mismatch.hypotheses.regressor import STEADY, Law, Target, law_slopes, signals, targets
 
 ALONG_SIGNALS = 10  # columns at most of a target that is off along the drive's signals
 STRETCH_S = 0.75  # [s] between the middles of neighbouring stretches of a course of its own

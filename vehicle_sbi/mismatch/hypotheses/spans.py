@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.inference.directions import SPAN, Direction, shapes, slopes, tile
-from vehicle_sbi.mismatch.fit import DAMPING, Fit
+from vehicle_sbi.mismatch.estimation.fit import DAMPING, Fit
 from vehicle_sbi.parameters import Parameter
 
 

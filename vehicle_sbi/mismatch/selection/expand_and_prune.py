@@ -17,10 +17,11 @@ from vehicle_sbi.inference.directions import Direction
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
+from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order
-from vehicle_sbi.mismatch.fit import Fit, Observation
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Remainder, discrepancies, remainders
 from vehicle_sbi.mismatch.hypotheses.spans import likeliest_spans
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Shared, sample
 from vehicle_sbi.parameters import Parameter
 
@@ -136,7 +137,7 @@ def expand_and_prune(
             break
         fit = replace(fit, observation=replace(fit.observation, observed=base.observation.observed))
         here, last = discrepancies(fit), k >= budget.rounds - budget.pooled
-        problem = linear_gaussian(now.expansion, [(fit, here), *_further(fit, naming)])
+        problem = linear_gaussian(now.expansion, [(fit, _columns(here)), *_further(fit, naming)])
         groups = groups_of(now.expansion, problem, prior)
         drawn = sample(problem.H, problem.b, groups, shared, budget.last if last else budget.first, rng)
         found += [_pruned(now.expansion, fit, here, drawn)] if last else []
@@ -158,13 +159,17 @@ def _by_name(
     return np.array([of.get(p.name, x) for p, x in zip(wanted, otherwise, strict=True)])
 
 
-def _further(fit: Fit, naming: Observation | None) -> list[tuple[Fit, Sequence[Discrepancy]]]:
+def _columns(here: Sequence[Discrepancy]) -> list[Float[np.ndarray, "q samples"]]:
+    return [one.whitened for one in here]
+
+
+def _further(fit: Fit, naming: Observation | None) -> list[tuple[Fit, list[Float[np.ndarray, "q samples"]]]]:
     """The fit in recordings that help to name, with discrepancies of their own, if it can be simulated there."""
     if naming is None:
         return []
     there = elsewhere(fit, naming, apart=True)
     good = np.isfinite(there.at.y[there.simulator.windows.valid]).all()
-    return [(there, discrepancies(there))] if good else []
+    return [(there, _columns(discrepancies(there)))] if good else []
 
 
 def groups_of(expansion: Expansion, problem: LinearGaussian, prior: EffectPrior) -> Groups:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vehicle_sbi.mismatch.estimation.expansion import WIDER
+from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.fit import Fit
 from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
 
 ALIKE = 0.05  # least probability of an effect that may stand for another

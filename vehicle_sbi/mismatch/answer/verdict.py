@@ -8,8 +8,8 @@ import numpy as np
 
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.inference.directions import SPAN
-from vehicle_sbi.mismatch.acceptance import judged
-from vehicle_sbi.mismatch.answer import (
+from vehicle_sbi.inference.information import SEEN
+from vehicle_sbi.mismatch.answer.schema import (
     Followed,
     Latent,
     Named,
@@ -20,20 +20,21 @@ from vehicle_sbi.mismatch.answer import (
     Verdict,
     Visible,
 )
-from vehicle_sbi.mismatch.case import Case
+from vehicle_sbi.mismatch.answer.wording import headline, lines
+from vehicle_sbi.mismatch.design.experiment import advice
+from vehicle_sbi.mismatch.design.identifiability import Card
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, drawn
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.fit_check import Gate
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.examine import Examined
-from vehicle_sbi.mismatch.experiment import advice
-from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.gate import Gate
+from vehicle_sbi.mismatch.hypotheses.block import Stretch, clock, own_time, stretches
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
-from vehicle_sbi.mismatch.improve import Gain, Prediction
-from vehicle_sbi.mismatch.locate import Stretch, clock, own_time, stretches
+from vehicle_sbi.mismatch.problem.case import Case
+from vehicle_sbi.mismatch.selection.acceptance import judged
+from vehicle_sbi.mismatch.selection.detection import Examined
 from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
 from vehicle_sbi.mismatch.selection.extended import Extended, alternatives
-from vehicle_sbi.mismatch.separability import SEEN, Card
-from vehicle_sbi.mismatch.wording import headline, lines
+from vehicle_sbi.mismatch.selection.predictive import Gain, Prediction
 from vehicle_sbi.physics.effects import CATALOGUE
 
 SCHEMA = 2

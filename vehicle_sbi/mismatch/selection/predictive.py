@@ -23,8 +23,9 @@ from jaxtyping import Bool, Float
 from scipy.stats import norm, t
 
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
+from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.fit import Fit, Observation
+from vehicle_sbi.mismatch.problem.observation import Observation
 
 BLOCK_S = 2.0  # [s] of a block of the paired difference
 CONFIDENT = 0.9  # of the bounds on the gain

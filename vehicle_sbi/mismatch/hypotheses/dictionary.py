@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from vehicle_sbi.inference.directions import STEPS, Direction, extent, shapes, slopes, tiles
-from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.laws import Law, law_slopes, laws
-from vehicle_sbi.mismatch.locate import Block, blocks
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.hypotheses.block import Block, blocks
+from vehicle_sbi.mismatch.hypotheses.regressor import Law, law_slopes, laws
 from vehicle_sbi.parameters import Parameter
 
 NONLINEAR = 0.3  # of the smaller change, by which those of two steps differ for both to be tried

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.mismatch.fit import MOST_STEPS, Fit, Observation, descend, with_own_noise
+from vehicle_sbi.mismatch.estimation.fit import MOST_STEPS, Fit, descend, with_own_noise
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.physics.effects import DEAD_TIMES
 
 MOST_DEAD_TIMES = 250  # that are tried of one

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch.fit import Fit, Observation, descend, with_own_noise
-from vehicle_sbi.mismatch.search import best
+from vehicle_sbi.mismatch.estimation.fit import Fit, descend, with_own_noise
+from vehicle_sbi.mismatch.estimation.multistart import best
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter
 
 SCREENED, STARTS = 32, 3  # points that are simulated, and of those the ones from which the base model is fitted

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.linear import LEAST_VARIANCE, Linearised
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.linearised import LEAST_VARIANCE, Linearised
 
 FINEST = 0.7  # standard deviations of the noise, below which a step cannot be seen
 COARSEST = 1 / 6  # of the channel's range; what is coarser is slow enough for other laws

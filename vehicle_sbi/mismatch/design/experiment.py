@@ -21,8 +21,8 @@ from vehicle_sbi.data.channels import CHANNELS, NEEDED
 from vehicle_sbi.data.noise import MeasurementNoise
 from vehicle_sbi.inference.directions import null
 from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.mismatch.estimation.fit import Fit, Metric, linearise
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.fit import Fit, Metric, linearise
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, ONCOMING
 from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS, MEASUREMENTS

@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 
 from vehicle_sbi.inference.directions import SPAN
 from vehicle_sbi.mismatch.estimation.estimate import Estimate
-from vehicle_sbi.mismatch.examine import Place
-from vehicle_sbi.mismatch.locate import Stretch, spoken
+from vehicle_sbi.mismatch.hypotheses.block import Stretch, spoken
+from vehicle_sbi.mismatch.selection.detection import Place
 
 
 @dataclass(frozen=True)

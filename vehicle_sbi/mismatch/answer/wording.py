@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from vehicle_sbi.inference.directions import null
-from vehicle_sbi.mismatch.answer import Unknown, Verdict
+from vehicle_sbi.mismatch.answer.schema import Unknown, Verdict
+from vehicle_sbi.mismatch.design.identifiability import Candidate, Card
 from vehicle_sbi.mismatch.estimation.estimate import quantity
-from vehicle_sbi.mismatch.improve import Prediction
-from vehicle_sbi.mismatch.locate import spoken
-from vehicle_sbi.mismatch.separability import Candidate, Card
+from vehicle_sbi.mismatch.hypotheses.block import spoken
+from vehicle_sbi.mismatch.selection.predictive import Prediction
 from vehicle_sbi.rounding import mean_and_std
 
 NAMED = 0.5  # probability from which an effect is named

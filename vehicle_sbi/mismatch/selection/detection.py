@@ -5,11 +5,11 @@ from functools import cached_property
 
 import numpy as np
 
-from vehicle_sbi.mismatch.detect import Scores, score
-from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.linear import Linearised
-from vehicle_sbi.mismatch.locate import Stretch, lies_in, merged
-from vehicle_sbi.mismatch.repertoire import Inventory, Repertoire
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.linearised import Linearised
+from vehicle_sbi.mismatch.hypotheses.block import Stretch, lies_in, merged
+from vehicle_sbi.mismatch.hypotheses.dictionary import Inventory, Repertoire
+from vehicle_sbi.mismatch.selection.score_test import Scores, score
 
 LEVEL = 0.05  # of the test whether anything is missing
 ALIKE = 0.98  # coherence with a direction of the catalogue from which a law says nothing new

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from vehicle_sbi.data.noise import largest_rho
-from vehicle_sbi.mismatch.fit import MEMORY_S, Fit
+from vehicle_sbi.mismatch.estimation.fit import MEMORY_S, Fit
 
 ITERATIONS = 6  # of sizes and noise, in turn
 LEAST_VARIANCE = 1e-18

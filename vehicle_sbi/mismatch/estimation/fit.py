@@ -10,7 +10,6 @@ so that everything else is least squares: Gauss-Newton steps in A's units inside
 fit leaves over, both in turn until neither moves.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,7 +19,7 @@ from scipy.optimize import lsq_linear
 
 from vehicle_sbi.data.noise import MeasurementNoise, from_residual, sensor_noise
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.parameters import Parameter, ParameterSpace
+from vehicle_sbi.mismatch.problem.observation import Observation, Series
 
 STEP = 1e-3  # of the prior's width or of an initial state's standard deviation, for differences
 DAMPING = 1e-3  # information in units of the prior that keeps directions which nothing sees from running away
@@ -31,39 +30,6 @@ NOISE_ROUNDS = 4  # of fit and noise at most
 NEAR_ROUNDS, NEAR_STEPS = 2, 6  # the same and Gauss-Newton steps of a model that is one further than a fitted one
 MEMORY_S = 0.5  # [s], the correlation time of noise at most: what is slower is physics, or a sensor that drifts
 STATES = ("v_x", "v_y", "r")
-
-Series = Float[np.ndarray, "channels time"]
-
-
-@dataclass(frozen=True)
-class Observation:
-    """What was recorded (zero where masked), and the simulator that is driven as the car was.
-
-    `estimated` says whether the noise is to be estimated, rather than known.
-    """
-
-    simulator: Simulator
-    observed: Series
-    estimated: bool
-
-    def extended(self, simulator: Simulator) -> "Observation":
-        return replace(self, simulator=simulator)
-
-    def freeing(self, parameters: Sequence[Parameter]) -> "Observation":
-        """The same with other parameters free."""
-        return self.extended(replace(self.simulator, space=ParameterSpace(tuple(parameters))))
-
-    @property
-    def anything(self) -> bool:
-        """Whether there is any sample to fit."""
-        return bool(self.simulator.windows.valid.any())
-
-    def masked(self, kept: Bool[np.ndarray, " time"]) -> "Observation":
-        """With nothing but some of its samples."""
-        windows = self.simulator.windows
-        valid = windows.valid & kept
-        simulator = replace(self.simulator, windows=replace(windows, valid=valid))
-        return replace(self, simulator=simulator, observed=np.where(valid, self.observed, 0.0))
 
 
 @dataclass(frozen=True)

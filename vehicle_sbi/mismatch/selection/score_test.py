@@ -18,9 +18,18 @@ from jaxtyping import Float
 from scipy.special import log_ndtr
 from scipy.stats import rankdata
 
-from vehicle_sbi.mismatch.fit import Fit
-from vehicle_sbi.mismatch.linear import ITERATIONS, LEAST_VARIANCE, Linearised, Products, Quadratic, ar1, kinds, profile
-from vehicle_sbi.mismatch.staircase import Staircase, Staircases
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.linearised import (
+    ITERATIONS,
+    LEAST_VARIANCE,
+    Linearised,
+    Products,
+    Quadratic,
+    ar1,
+    kinds,
+    profile,
+)
+from vehicle_sbi.mismatch.hypotheses.quantisation import Staircase, Staircases
 
 DRAWS = 500  # of noise, behind a p-value
 CHUNK = 100  # of them, and of directions, at once

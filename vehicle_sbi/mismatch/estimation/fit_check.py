@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import genpareto
 
-from vehicle_sbi.mismatch.fit import Fit, cost, descend, with_own_noise
+from vehicle_sbi.mismatch.estimation.fit import Fit, cost, descend, with_own_noise
 
 DRAWS = 200
 MOST_TRIED = 20  # times DRAWS, to find as many inside the prior

@@ -17,17 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
-from scipy.stats import norm
 
 from vehicle_sbi.inference.directions import Direction, left_out, null, slopes
-from vehicle_sbi.inference.information import sensitivity
+from vehicle_sbi.inference.information import SEEN, sensitivity
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch.cannot_act import cannot_act
+from vehicle_sbi.mismatch.design.cannot_act import cannot_act
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE
 
-LEVEL, POWER = 0.05, 0.8
-SEEN = float(norm.isf(LEVEL / 2) + norm.ppf(POWER))  # standard deviations, 2.80
 INSEPARABLE = 0.95  # coherence from which two candidates count as one
 TAKING = 0.1  # share of an effect, from which a parameter is said to absorb it
 

@@ -14,7 +14,7 @@ from vehicle_sbi.data.windows import Windows, check_alike, joined, one_after_ano
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.setup import Setup
-from vehicle_sbi.mismatch.fit import Observation
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import ParameterSpace
 
 HELD_OUT = 0.25  # share of the recordings' time that is held out where no recording is
