@@ -33,7 +33,7 @@ class EffectPrior:
     slabs: Sequence[Entry] = ((0.6, 0.85), (1.5, 0.15))
     negligible: float = 0.1
     discrepancy: float = 0.9
-    scale: float = 0.1
+    scale: float = 0.3
 
     def __post_init__(self) -> None:
         for effect, entries in self.table.items():

@@ -27,7 +27,7 @@ from vehicle_sbi.parameters import Parameter
 
 LEAST_RMS = 0.02  # typical sizes, within which an effect that is out is held
 AMPLITUDES = np.geomspace(0.03, 3.0, 5)  # of discrepancies, in units of the scale that is believed of them
-NOTHING = 1e-4  # amplitude that stands for none
+NOTHING = 0.1  # of the smallest of them, which stands for none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,7 +180,8 @@ def groups_of(expansion: Expansion, problem: LinearGaussian, prior: EffectPrior)
     slabs, shares = np.array(prior.slabs).T
     levels = 1 + max(len(slabs), len(AMPLITUDES))
     amplitude, share = np.zeros((named + others, levels)), np.zeros((named + others, levels))
-    amplitude[:, 0], share[:, 0] = np.repeat([1.0, NOTHING], [named, others]), 1.0
+    none = NOTHING * prior.scale * AMPLITUDES[0]
+    amplitude[:, 0], share[:, 0] = np.repeat([1.0, none], [named, others]), 1.0
     amplitude[:named, 1 : 1 + len(slabs)], share[:named, 1 : 1 + len(slabs)] = slabs, shares / shares.sum()
     half_normal = np.exp(-0.5 * AMPLITUDES**2)
     amplitude[named:, 1:], share[named:, 1:] = prior.scale * AMPLITUDES, half_normal / half_normal.sum()

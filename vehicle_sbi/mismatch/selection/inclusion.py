@@ -25,6 +25,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 
 REFRESHED = 10  # sweeps after which S is factorised anew, against rounding
+LEAST = 1e-9  # part of its precision that a direction keeps, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
 SWAPS = 6  # of two groups' states, tried in a sweep
 
@@ -190,7 +191,7 @@ def _level_evidence(g, first, last, level, precision, S, m, amplitude, spike, na
         found[k] = 0.5 * q * math.log(to / precision[first])
         c = np.empty(q)
         for i in range(q):
-            grown = 1.0 + d * max(e[i], 0.0)
+            grown = max(1.0 + d * max(e[i], 0.0), LEAST)
             c[i] = d / grown
             found[k] += -0.5 * math.log(grown) - 0.5 * c[i] * u[i] ** 2
         for j in range(n):
@@ -220,18 +221,18 @@ def _set_level(first, last, to, precision, S, m):
         return
     e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
     W = np.ascontiguousarray(S[:, first:last]) @ V
-    c = d / (1.0 + d * np.maximum(e, 0.0))
+    c = d / np.maximum(1.0 + d * np.maximum(e, 0.0), LEAST)
     m -= W @ (c * (V.T @ m[first:last].copy()))
     S -= (W * c) @ W.T
     precision[first:last] = to
 
 
 @njit(cache=True)
-def _drawn(H, precision, S, m, sign, slab):
+def _drawn(H, precision, m, sign, slab):
     """Coefficients from their normal, those on the wrong side of zero drawn again one after another, as Gibbs does."""
     n = len(m)
-    L = np.linalg.cholesky(S + 1e-14 * np.trace(S) / n * np.eye(n))
-    x = m + L @ np.random.standard_normal(n)
+    L = np.linalg.cholesky(H + np.diag(precision))
+    x = m + np.linalg.solve(L.T, np.random.standard_normal(n))
     held = [j for j in range(n) if sign[j] != 0 and slab[j] > 0.0]
     for j in held:
         if sign[j] * x[j] < 0.0:
@@ -322,7 +323,7 @@ def _run(
         tried = np.array([_log_prior(level, share, rate, named, missing, one) for one in discrepants])
         discrepant = discrepants[_chosen(tried)]
         if sweep >= forgotten and (sweep - forgotten) % every == 0 and row < kept:
-            levels[row], values[row] = level, _drawn(H, precision, S, m, sign, slab)
+            levels[row], values[row] = level, _drawn(H, precision, m, sign, slab)
             spiked[row], lacked[row] = spike, missing
             row += 1
     return levels, values, spiked, lacked
