@@ -107,12 +107,20 @@ class Expansion:
         return base.observation.extended(lighter).freeing(self.space.parameters)
 
     def fitted(
-        self, observation: Observation, start: Float[np.ndarray, " d"], rms: Float[np.ndarray, " sizes"]
+        self,
+        observation: Observation,
+        start: Float[np.ndarray, " d"],
+        rms: Float[np.ndarray, " sizes"],
+        *,
+        near: bool = False,
     ) -> Fit | None:
-        """The likeliest point under shrinkage, noise estimated there; None where the simulation fails."""
-        space = observation.simulator.space
+        """The likeliest point under shrinkage, noise estimated there; None where the simulation fails.
+
+        Derivatives follow from steps, and are simulated at both ends; on the way too unless the start is `near`.
+        """
+        space, pull = observation.simulator.space, Shrinkage(self.rest, self.precision(rms))
         start = np.clip(start, space.low, space.high)
-        fit = descend(observation, start, STEPS, Shrinkage(self.rest, self.precision(rms)), secant=True)
+        fit = descend(observation, start, STEPS, pull, secant=True, renewed=not near)
         if fit is None:
             return None
         fit = with_own_noise(fit, NOISE_ROUNDS, NOISE_STEPS, secant=True)

@@ -244,22 +244,23 @@ def descend(
     shrinkage: Shrinkage | None = None,
     *,
     secant: bool = False,
+    renewed: bool = True,
 ) -> Fit | None:
     """The optimum that Gauss-Newton finds from `start` under the noise as it is; None where the simulation fails."""
     fit = Fit(observation, start, linearise(observation.simulator, start), shrinkage)
-    return onwards(fit, steps, secant=secant) if np.isfinite(fit.at.y).all() else None
+    return onwards(fit, steps, secant=secant, renewed=renewed) if np.isfinite(fit.at.y).all() else None
 
 
-def onwards(fit: Fit, steps: int, *, secant: bool = False) -> Fit:
+def onwards(fit: Fit, steps: int, *, secant: bool = False, renewed: bool = True) -> Fit:
     """From a fit to the optimum, as far as so many steps go.
 
     What initial states do is taken from the start, which hardly depends on theta. With `secant` derivatives are updated
-    by what each step has changed (Broyden 1965), and differences are simulated anew only once no step helps.
+    by what each step has changed (Broyden 1965), and differences are `renewed`, if they are, only once no step helps.
     """
     fresh = True
     for _ in range(steps):
         moved = _stepped(fit)
-        if moved is None and fresh:
+        if moved is None and (fresh or not renewed):
             break
         theta, y = (fit.theta, fit.at.y) if moved is None else moved
         at = _updated(fit, theta, y) if secant and moved is not None else relinearised(fit, theta).at
@@ -310,7 +311,7 @@ def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS
         before = fit.simulator.noise
         noise = replace(from_residual(fit.unexplained, fit.simulator.windows, MEMORY_S), sensor=sensor)
         fit = replace(fit, observation=fit.observation.extended(fit.simulator.with_noise(noise)))
-        fit = onwards(fit, steps, secant=secant)
+        fit = onwards(fit, steps, secant=secant, renewed=False)
         if np.allclose(noise.floor, before.floor, rtol=0.01) and np.allclose(noise.rho, before.rho, atol=0.005):
             break
     return fit

@@ -33,15 +33,35 @@ class Discrepancy:
     course: Float[np.ndarray, "q time"]
 
 
-def discrepancies(fit: Fit) -> list[Discrepancy]:
-    """Every target, along the drive's signals and on a course of its own, about a fit."""
+@dataclass(frozen=True)
+class Response:
+    """What one target does to the series that is off along each of some courses: `changes` (k, channels, time) and
+    `courses` (k, time), per the largest size that it may have; `columns` at most are to stand for all of them."""
+
+    target: Target
+    kind: str
+    changes: Float[np.ndarray, "k channels time"]
+    courses: Float[np.ndarray, "k time"]
+    columns: int
+
+
+def responses(fit: Fit) -> list[Response]:
+    """Of every target, along the drive's signals and on a course of its own, simulated about a fit.
+
+    They hardly depend on where the fit is.
+    """
     acting = targets(fit.simulator, fit.at.y)
-    courses = signals(fit.simulator, fit.theta, {})
-    along = {name: course for name, course in courses.items() if np.std(course) > STEADY}
+    signal = signals(fit.simulator, fit.theta, {})
+    along = {name: course for name, course in signal.items() if np.std(course) > STEADY}
     return [
-        *_groups(fit, acting, "along the drive's signals", along, columns=ALONG_SIGNALS, scale=len(along) ** -0.5),
-        *_groups(fit, acting, "on a course of its own", _stretches(fit), columns=STRETCHES[1], scale=1.0),
+        *_responses(fit, acting, "along the drive's signals", along, columns=ALONG_SIGNALS, scale=len(along) ** -0.5),
+        *_responses(fit, acting, "on a course of its own", _stretches(fit), columns=STRETCHES[1], scale=1.0),
     ]
+
+
+def discrepancies(fit: Fit, tried: Sequence[Response]) -> list[Discrepancy]:
+    """Responses as columns of a linear model, under the noise of a fit."""
+    return [_discrepancy(fit, one) for one in tried]
 
 
 def _stretches(fit: Fit) -> dict[str, Float[np.ndarray, "windows time"]]:
@@ -55,7 +75,7 @@ def _stretches(fit: Fit) -> dict[str, Float[np.ndarray, "windows time"]]:
     return {f"stretch {k}": bump(t, start, start + length).reshape(shape) for k, start in enumerate(starts)}
 
 
-def _groups(
+def _responses(
     fit: Fit,
     acting: list[Target],
     kind: str,
@@ -63,33 +83,27 @@ def _groups(
     *,
     columns: int,
     scale: float,
-) -> list[Discrepancy]:
-    """A group for each target: at most so many singular directions of what all courses do."""
+) -> list[Response]:
+    """Of each target, `scale` being the share of its largest size in each course."""
     given = [Law(target, name, course) for target in acting for name, course in courses.items()]
-    slopes = law_slopes(fit.simulator, fit.theta, fit.at.y, given)
+    slopes = np.nan_to_num(law_slopes(fit.simulator, fit.theta, fit.at.y, given))
     by_target = slopes.reshape(len(acting), len(courses), *fit.at.y.shape)
     course = np.array([*courses.values()]).reshape(len(courses), -1)
+    sizes = [scale * target.size.high for target in acting]
     return [
-        _group(fit, target, kind, scale * target.size.high * rows, scale * target.size.high * course, columns)
-        for target, rows in zip(acting, by_target, strict=True)
+        Response(target, kind, size * rows, size * course, columns)
+        for target, size, rows in zip(acting, sizes, by_target, strict=True)
     ]
 
 
-def _group(
-    fit: Fit,
-    target: Target,
-    kind: str,
-    rows: Float[np.ndarray, "k channels time"],
-    course: Float[np.ndarray, "k time"],
-    columns: int,
-) -> Discrepancy:
-    """At most so many singular directions of rows, what courses of the target do to the series."""
-    white = fit.metric(rows).reshape(len(rows), -1)
+def _discrepancy(fit: Fit, one: Response) -> Discrepancy:
+    """At most so many singular directions of what the courses do."""
+    white = fit.metric(one.changes).reshape(len(one.changes), -1)
     left, size, right = np.linalg.svd(white, full_matrices=False)
-    kept = max(min(columns, int((size > LEAST * size[0]).sum())), 1)
+    kept = max(min(one.columns, int((size > LEAST * size[0]).sum())), 1)
     along = left[:, :kept].T
-    series = np.tensordot(along, np.nan_to_num(rows), axes=1)
-    return Discrepancy(target, kind, series, size[:kept, None] * right[:kept], along @ course)
+    series = np.tensordot(along, one.changes, axes=1)
+    return Discrepancy(one.target, one.kind, series, size[:kept, None] * right[:kept], along @ one.courses)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,14 @@ from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order
-from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Remainder, discrepancies, remainders
+from vehicle_sbi.mismatch.hypotheses.discrepancy import (
+    Discrepancy,
+    Remainder,
+    Response,
+    discrepancies,
+    remainders,
+    responses,
+)
 from vehicle_sbi.mismatch.hypotheses.spans import likeliest_spans
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Shared, sample
@@ -130,18 +137,20 @@ def expand_and_prune(
     None where the expanded model cannot be simulated.
     """
     now, found = _Round.first(base, Expansion.of(base.simulator.space, known, prior)), list[Pruned]()
-    shared = Shared(spikes=(prior.negligible,))
+    shared, tried = Shared(spikes=(prior.negligible,)), list[list[Response]]()
     for k in range(budget.rounds):
-        fit = now.expansion.fitted(now.observation, now.start, now.rms)
+        fit = now.expansion.fitted(now.observation, now.start, now.rms, near=k > 0)
         if fit is None:
             break
         fit = replace(fit, observation=replace(fit.observation, observed=base.observation.observed))
-        here, last = discrepancies(fit), k >= budget.rounds - budget.pooled
-        problem = linear_gaussian(now.expansion, [(fit, _columns(here)), *_further(fit, naming)])
-        groups = groups_of(now.expansion, problem, prior)
+        parts = [fit, *_further(fit, naming)]
+        tried = tried or [responses(one) for one in parts]
+        off = [discrepancies(one, them) for one, them in zip(parts, tried, strict=False)]
+        problem = linear_gaussian(now.expansion, [*zip(parts, map(_columns, off), strict=False)])
+        groups, last = groups_of(now.expansion, problem, prior), k >= budget.rounds - budget.pooled
         drawn = sample(problem.H, problem.b, groups, shared, budget.last if last else budget.first, rng)
-        found += [_pruned(now.expansion, fit, here, drawn)] if last else []
-        now = _again(now, fit, here, drawn)
+        found += [_pruned(now.expansion, fit, off[0], drawn)] if last else []
+        now = _again(now, fit, off[0], drawn)
         if k == 0:
             spans = likeliest_spans(fit, known)
             now = now.widened(Expansion.of(base.simulator.space, known, prior, spans))
@@ -163,13 +172,10 @@ def _columns(here: Sequence[Discrepancy]) -> list[Float[np.ndarray, "q samples"]
     return [one.whitened for one in here]
 
 
-def _further(fit: Fit, naming: Observation | None) -> list[tuple[Fit, list[Float[np.ndarray, "q samples"]]]]:
-    """The fit in recordings that help to name, with discrepancies of their own, if it can be simulated there."""
-    if naming is None:
-        return []
-    there = elsewhere(fit, naming, apart=True)
-    good = np.isfinite(there.at.y[there.simulator.windows.valid]).all()
-    return [(there, _columns(discrepancies(there)))] if good else []
+def _further(fit: Fit, naming: Observation | None) -> list[Fit]:
+    """The fit in recordings that help to name, if there are any and it can be simulated there."""
+    there = [] if naming is None else [elsewhere(fit, naming, apart=True)]
+    return [one for one in there if np.isfinite(one.at.y[one.simulator.windows.valid]).all()]
 
 
 def groups_of(expansion: Expansion, problem: LinearGaussian, prior: EffectPrior) -> Groups:
