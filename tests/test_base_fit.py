@@ -9,9 +9,8 @@ from recorded import TRUTH, fitted, lateral, recorded
 from vehicle_sbi.mismatch.answer.verdict import _cornered, _rim
 from vehicle_sbi.mismatch.estimation.base_fit import as_stated, likelier, off_rims
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
-from vehicle_sbi.mismatch.explain import off_its_rims
+from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.problem.observation import Observation
-from vehicle_sbi.mismatch.selection.detection import Model
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 
 
@@ -57,18 +56,8 @@ def test_a_fit_in_a_corner_is_left_for_a_likelier_one_and_the_likeliest_stays(co
     assert likelier(optimum, [off_rims(optimum), TRUTH]) is optimum
 
 
-def test_an_extended_model_leaves_its_corner_too(cornered: Fit) -> None:
-    effect, observation = EFFECT_PARAMETERS["gyro_bias.z"], cornered.observation
-    wider = observation.freeing([*observation.simulator.space.parameters, effect])
-    base = observation.simulator.space.names
-    stuck = Model(("gyro_bias",), held_at(wider, np.append(cornered.theta, 0.01)), 0.0, base=base)
-    assert off_its_rims(stuck).fit.log_likelihood > stuck.fit.log_likelihood + 100.0
-    inside = replace(stuck, fit=held_at(wider, np.append(TRUTH, 0.0)))
-    assert off_its_rims(inside) is inside
-
-
 def test_a_model_on_several_rims_is_named_first_and_its_effects_are_none_of_them(cornered: Fit) -> None:
-    model = Model((), cornered, 0.0, base=cornered.simulator.space.names)
+    model = Model((), cornered, cornered.simulator.space.names)
     said = _rim(model, "extended")
     assert [line.split()[0] for line in said] == list(cornered.simulator.space.names[:2])
     assert _cornered(said, "extended")[0].startswith("The extended model's fit ends on the edges of 2 priors at once")

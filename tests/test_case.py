@@ -16,7 +16,6 @@ from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.directions import longest
-from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.hypotheses.block import Block, lies_in, own_time, stretches
 from vehicle_sbi.mismatch.problem.case import Diagnosis, _shares
 from vehicle_sbi.physics.single_track import INPUTS
@@ -41,7 +40,7 @@ def diagnosis(files: list[Path], heldout: list[Path] | None = None, **changes: A
         "vehicle": PAPER, "model": "single_track", "drive": "speed", "prior": PRIOR, "effects": [], "window_s": 10.0,
         "warmup_s": 0.5, "noise": EstimatedNoise(), "seed": 0, "recordings": [str(f) for f in files],
         "recording": RecordingFile(path=str(files[0]), channels=("a_x", "a_y", "yaw_rate")),
-        "heldout": [str(f) for f in heldout or []], "belief": Belief(),
+        "heldout": [str(f) for f in heldout or []],
     }  # fmt: skip
     settings |= changes
     return Diagnosis(**settings)

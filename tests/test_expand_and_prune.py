@@ -11,11 +11,11 @@ from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import linear_gaussian, order
-from vehicle_sbi.mismatch.hypotheses.discrepancy import discrepancies
-from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned, expand_and_prune
+from vehicle_sbi.mismatch.hypotheses.discrepancy import discrepancies, responses
+from vehicle_sbi.mismatch.selection.expand_and_prune import Budget, Pruned, expand_and_prune
 from vehicle_sbi.mismatch.selection.inclusion import Chain
 
-SHORT = Chain(chains=2, sweeps=160, forgotten=60, every=2)
+SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def expanded(base: Fit) -> tuple[Expansion, Fit]:
 @pytest.fixture(scope="module")
 def pruned(base: Fit) -> Pruned:
     known = left_out(base.simulator, base.theta)
-    found = expand_and_prune(base, known, None, prior=stated(), rng=np.random.default_rng(0), chain=SHORT)
+    found = expand_and_prune(base, known, None, prior=stated(), rng=np.random.default_rng(0), budget=SHORT)
     assert found is not None
     return found
 
@@ -57,8 +57,9 @@ def test_columns_and_residual_are_those_of_the_fit(expanded: tuple[Expansion, Fi
 
 def test_recordings_that_come_twice_tell_parameters_twice(expanded: tuple[Expansion, Fit]) -> None:
     expansion, fit = expanded
-    found = discrepancies(fit)
-    once, twice = (linear_gaussian(expansion, parts) for parts in ([(fit, found)], [(fit, found)] * 2))
+    found = discrepancies(fit, responses(fit))
+    columns = [one.whitened for one in found]
+    once, twice = (linear_gaussian(expansion, parts) for parts in ([(fit, columns)], [(fit, columns)] * 2))
     n, more = len(expansion.unit), len(once.b) - len(expansion.unit)
     assert twice.H[:n, :n] == pytest.approx(2.0 * once.H[:n, :n])
     assert twice.H[n : n + more, n + more :] == pytest.approx(np.zeros((more, more)))  # courses of their own
@@ -66,7 +67,7 @@ def test_recordings_that_come_twice_tell_parameters_twice(expanded: tuple[Expans
 
 def test_a_discrepancy_s_columns_are_what_its_series_do_in_units_of_the_noise(expanded: tuple[Expansion, Fit]) -> None:
     _, fit = expanded
-    for one in discrepancies(fit):
+    for one in discrepancies(fit, responses(fit)):
         white = fit.metric(one.series).reshape(len(one.series), -1)
         assert white == pytest.approx(one.whitened, abs=1e-6 * np.abs(one.whitened).max())
 
@@ -98,8 +99,8 @@ def test_what_is_believed_to_be_rare_is_named_less(base: Fit) -> None:
     for entry in table["body_roll"].values():
         entry[0] = 1e-4
     rare = replace(stated(), table=table)
-    found = expand_and_prune(base, known, None, prior=rare, rng=np.random.default_rng(0), chain=SHORT)
-    usual = expand_and_prune(base, known, None, prior=stated(), rng=np.random.default_rng(0), chain=SHORT)
+    found = expand_and_prune(base, known, None, prior=rare, rng=np.random.default_rng(0), budget=SHORT)
+    usual = expand_and_prune(base, known, None, prior=stated(), rng=np.random.default_rng(0), budget=SHORT)
     assert found is not None
     assert usual is not None
     assert found.effects["body_roll"] <= usual.effects["body_roll"] + 0.05

@@ -12,7 +12,7 @@ from studies import constant_noise, simulator
 
 from vehicle_sbi.inference.directions import responses
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch import experiment, verdict
+from vehicle_sbi.mismatch.design import experiment
 from vehicle_sbi.mismatch.design.experiment import (
     HIDDEN,
     MENU,
@@ -24,8 +24,8 @@ from vehicle_sbi.mismatch.design.experiment import (
     separations,
 )
 from vehicle_sbi.mismatch.estimation.fit import linearise
+from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.problem.observation import Observation
-from vehicle_sbi.mismatch.selection.detection import Model
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, KNOTS
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
@@ -53,7 +53,7 @@ def beside(sim: Simulator, *names: str) -> Simulator:
 def explained(observation: Observation, *names: str) -> Model:
     """The fit with parameters of one effect free."""
     free = beside(observation.simulator, *names)
-    return Model((names[0].split(".")[0],), fitted(observation.extended(free)), 0.0)
+    return Model((names[0].split(".")[0],), fitted(observation.extended(free)), observation.simulator.space.names)
 
 
 def coherence(runs: list[Simulator]) -> float:
@@ -241,17 +241,6 @@ def test_nothing_is_recommended_where_noise_would_hide_the_difference() -> None:
         assert advice(roll, other).startswith(
             "None of the drives and sensors that were tried would tell body_roll from"
         )
-
-
-def test_advice_is_about_the_sets_that_cannot_be_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    # The second set is likelier alone, the third one beside something unknown: first and third hold what is probable.
-    def told(a: Model, b: Model) -> str:
-        return f"{a.effects[0]} from {b.effects[0]}"
-
-    monkeypatch.setattr(verdict, "advice", told)
-    explanation: Any = SimpleNamespace(models=[SimpleNamespace(effects=(name,)) for name in ("lag", "ratio", "roll")])
-    assert verdict._advice(explanation, [("lag",), ("roll",)]) == "lag from roll"
-    assert verdict._advice(explanation, [("lag",)]) == ""
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,7 @@ def test_coefficients_have_the_posterior_s_mean_and_spread() -> None:
     S = np.linalg.inv(H + np.diag(precision))
     m = S @ b
     none = np.zeros(7, dtype=np.int64)
-    draws = np.array([_drawn(H, precision, S, m, none, np.zeros(7)) for _ in range(4000)])
+    draws = np.array([_drawn(H, precision, m, none, np.zeros(7)) for _ in range(4000)])
     std = np.sqrt(np.diag(S))
     assert np.abs(draws.mean(axis=0) - m) / std == pytest.approx(np.zeros(7), abs=5.0 / np.sqrt(4000))
     assert draws.std(axis=0) / std == pytest.approx(np.ones(7), abs=5.0 / np.sqrt(2 * 4000))

@@ -7,9 +7,7 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 
 from vehicle_sbi.inference.directions import STEPS, directions, shared, slopes
-from vehicle_sbi.mismatch.estimation.fit import linearise
 from vehicle_sbi.mismatch.hypotheses.dictionary import Repertoire
-from vehicle_sbi.mismatch.selection.detection import NEAR, Model, glance, versions
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.physics.single_track import INPUTS
 
@@ -64,45 +62,3 @@ def test_larger_steps_are_tried_where_they_do_not_change_as_much_in_proportion()
         steps.setdefault(d.effect, set()).add(d.step)
     assert steps["gyro_bias"] == {STEPS[0]}
     assert max(steps["friction_level"]) > min(steps["friction_level"])
-
-
-def test_changes_are_simulated_anew_where_parameters_act_otherwise() -> None:
-    # Twice the stiffness halves the slip angles: what parameters do there is not what they do here.
-    fit = fitted(recorded(lateral()))
-    known = directions(fit.simulator, fit.theta, CATALOGUE["steering_ratio"])
-    repertoire = Repertoire.around(fit, known)
-    near = repertoire.beyond(fit)
-    assert near.about is fit
-    assert near.named is not repertoire.named
-    assert np.array_equal(near.named, repertoire.named)
-    theta = fit.theta + np.array([0.0, 0.25, 0.25])
-    far = replace(fit, theta=theta, at=linearise(fit.simulator, theta))
-    again = repertoire.beyond(far)
-    assert again.about is far
-    assert np.array_equal(again.named, slopes(fit.simulator, theta, again.of.directions))
-
-
-def test_a_force_is_fitted_from_every_place_that_comes_near_the_best() -> None:
-    fit = fitted(recorded(lateral(), crosswind__force=150.0, crosswind__arm=0.2))
-    known = directions(fit.simulator, fit.theta, CATALOGUE["crosswind"])
-    seen = glance(Model((), fit, 0.0), Repertoire.around(fit, known), np.random.default_rng(0))
-    (version,) = versions(seen)
-    arm = next(p for p in version.starts[0] if p.name == "crosswind.arm")
-    evidence = {d.held[arm]: float(e) for d, e in zip(seen.free.directions, seen.scores.log_evidence, strict=True)}
-    near = {value for value, e in evidence.items() if e > max(evidence.values()) - NEAR}
-    assert len(near) > 1
-    assert {start[arm] for start in version.starts} == near
-    assert version.starts[0][arm] == max(evidence, key=lambda value: evidence[value])
-
-
-def test_every_start_of_a_version_is_along_the_parameter_that_was_scored() -> None:
-    fit = fitted(recorded(lateral(), imu_misalignment__pitch=0.05))
-    known = directions(fit.simulator, fit.theta, CATALOGUE["imu_misalignment"])
-    seen = glance(Model((), fit, 0.0), Repertoire.around(fit, known), np.random.default_rng(0))
-    likeliest = seen.free.directions[int(np.argmax(seen.scores.log_evidence))].parameter
-    others = {d.parameter for d in known} - {likeliest}
-    assert likeliest in seen.starts
-    assert others
-    (version,) = versions(replace(seen, joint={}, starts=seen.starts | {p: [{p: 0.06}] for p in others}))
-    assert len(version.starts) > 1
-    assert all(set(start) == {likeliest} for start in version.starts)

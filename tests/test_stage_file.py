@@ -15,15 +15,13 @@ from conftest import ROOT
 from recorded import TRUTH, lateral, recorded
 
 from vehicle_sbi.inference.directions import directions
-from vehicle_sbi.mismatch.belief import Belief
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import Gate
-from vehicle_sbi.mismatch.explanation import Explanation
-from vehicle_sbi.mismatch.hypotheses.block import Block, Stretch
+from vehicle_sbi.mismatch.estimation.model import Model
+from vehicle_sbi.mismatch.hypotheses.block import Block
 from vehicle_sbi.mismatch.hypotheses.dictionary import Inventory
 from vehicle_sbi.mismatch.hypotheses.regressor import laws
-from vehicle_sbi.mismatch.onset import Onset
-from vehicle_sbi.mismatch.selection.detection import Examined, Model
+from vehicle_sbi.mismatch.selection.detection import Examined
 from vehicle_sbi.mismatch.selection.score_test import Group, Scores
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE, RECORD
@@ -54,20 +52,26 @@ def a_fit(windows: int = 1) -> Fit:
     return Fit(observation, TRUTH, linearise(simulator, TRUTH))
 
 
+@dataclass(frozen=True)
+class Kept:
+    """What a stage may hold: models about one fit, and what was examined about it."""
+
+    models: list[Model]
+    examined: Examined
+    again: Examined
+
+
 @pytest.fixture(scope="module")
-def found() -> Explanation:
-    """One as a search leaves it, though nothing was searched for: models about one fit, known and unknown."""
+def found() -> Kept:
     fit = a_fit()
     (bias, *_) = directions(fit.simulator, fit.theta, CATALOGUE["gyro_bias"])
     given = laws(fit.simulator, fit.theta, fit.at.y)[:3]
-    none, named = Model((), fit, 0.0), Model(("gyro_bias",), fit, 3.0, posterior=np.ones((2, 3)))
-    onset = Onset(given[0].target, 1.0, 0.1, 2.0, 0.3, 4.0, 5, [Stretch("a", 1.0, np.inf)])
-    unnamed = [replace(none, outside=one, choice=7) for one in (*given, onset)]
+    named = Model(("gyro_bias",), fit, (), posterior=np.ones((2, 3)))
     k = np.arange(3.0)
     scores = Scores(k, k, k, -k, k, np.zeros((0, 3)), (Group(1.0, k),))
-    free = Inventory([bias], [Block("a_x", 0.0, 1.0)], given)
-    examined = Examined(none, free, scores, {}, {bias.parameter: [{bias.parameter: np.float64(0.1)}]})
-    return Explanation([named], unnamed, examined, examined, Belief())
+    free = Inventory([bias], [Block("a_x", 0.0, np.inf)], given)
+    examined = Examined(fit, free, scores)
+    return Kept([Model((), fit, ()), named], examined, examined)
 
 
 def same(a: object, b: object) -> bool:
@@ -85,23 +89,22 @@ def same(a: object, b: object) -> bool:
     return repr(a) == repr(b)
 
 
-def test_what_is_read_is_what_was_written(found: Explanation, tmp_path: Path) -> None:
-    write(tmp_path / "one.npz", found, Explanation)
-    back = read(tmp_path / "one.npz", Explanation)
+def test_what_is_read_is_what_was_written(found: Kept, tmp_path: Path) -> None:
+    write(tmp_path / "one.npz", found, Kept)
+    back = read(tmp_path / "one.npz", Kept)
     assert same(back, found)
-    write(tmp_path / "other.npz", back, Explanation)
+    write(tmp_path / "other.npz", back, Kept)
     assert (tmp_path / "other.npz").read_bytes() == (tmp_path / "one.npz").read_bytes()
-    np.testing.assert_array_equal(back.base.model.fit.residual, found.base.model.fit.residual)
+    np.testing.assert_array_equal(back.examined.fit.residual, found.examined.fit.residual)
 
 
-def test_one_object_in_several_places_is_one_object_again(found: Explanation, tmp_path: Path) -> None:
-    write(tmp_path / "one.npz", found, Explanation)
-    back = read(tmp_path / "one.npz", Explanation)
-    assert back.base is back.best
-    assert all(model.fit is back.base.model.fit for model in (*back.models, *back.unnamed))
-    given = [law.units for law in back.base.free.laws]
+def test_one_object_in_several_places_is_one_object_again(found: Kept, tmp_path: Path) -> None:
+    write(tmp_path / "one.npz", found, Kept)
+    back = read(tmp_path / "one.npz", Kept)
+    assert back.examined is back.again
+    assert all(model.fit is back.examined.fit for model in back.models)
+    given = [law.units for law in back.examined.free.laws]
     assert all(units is given[0] for units in given)
-    assert back.unnamed[0].outside is back.base.free.laws[0]
 
 
 def test_values_keep_their_types(tmp_path: Path) -> None:
@@ -134,13 +137,11 @@ def test_what_is_no_data_is_refused_with_its_place(value: object, where: str, tm
 
 
 def test_classes_are_those_of_the_expected_type() -> None:
-    assert {"Explanation", "Fit", "Parameter", "Law", "Onset", "Beyond"} <= {
-        one.__name__ for one in dataclasses_in(Explanation).values()
-    }
+    assert {"Kept", "Fit", "Parameter", "Law"} <= {one.__name__ for one in dataclasses_in(Kept).values()}
     assert [*dataclasses_in(tuple[Gate, ...])] == ["vehicle_sbi.mismatch.estimation.fit_check.Gate"]
 
 
-def refused(path: Path, kind: Any = Explanation) -> bool:
+def refused(path: Path, kind: Any = Kept) -> bool:
     try:
         read(path, kind)
     except StageFileError as error:
@@ -197,9 +198,9 @@ def test_a_file_of_another_class_version_or_type_is_refused(change: Callable[...
     assert refused(path, Gate)
 
 
-def test_a_file_that_is_damaged_is_refused(found: Explanation, tmp_path: Path) -> None:
+def test_a_file_that_is_damaged_is_refused(found: Kept, tmp_path: Path) -> None:
     path = tmp_path / "one.npz"
-    write(path, found, Explanation)
+    write(path, found, Kept)
     whole = path.read_bytes()
     for cut in (0, 1, 100, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:cut])
@@ -207,7 +208,7 @@ def test_a_file_that_is_damaged_is_refused(found: Explanation, tmp_path: Path) -
     rng = np.random.default_rng(0)
     for at in rng.integers(len(whole), size=50):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 255]) + whole[at + 1 :])
-        assert refused(path) or same(read(path, Explanation), found)  # a byte that says nothing, as a file's date
+        assert refused(path) or same(read(path, Kept), found)  # a byte that says nothing, as a file's date
 
 
 def test_a_fit_of_four_windows_is_written_at_once(tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ from vehicle_sbi.mismatch.hypotheses.quantisation import (
     _steps,
     rounding,
 )
-from vehicle_sbi.mismatch.loose import loose
 from vehicle_sbi.mismatch.problem.observation import Observation
 
 YAW = 2  # channel
@@ -72,11 +71,3 @@ def test_one_of_the_steps_stays_in_phase_with_any() -> None:
 def test_a_channel_with_a_range_of_no_more_than_noise_has_no_steps() -> None:
     assert _steps(np.linspace(-1.0, 1.0, 100), 1.0).size == 0
     assert np.array_equal(Staircases([]).gains(np.zeros((3, 1, 5))), np.zeros(3))
-
-
-def test_of_everything_loose_a_sensor_in_steps_gains_most_by_its_own() -> None:
-    step = 3.0 * float(lateral().noise.floor[YAW])
-    best = max(loose(fitted(read_in_steps(step))), key=lambda one: one.gain)
-    assert best.target.name == "error of the sensor of yaw_rate"
-    assert best.signal.startswith("its own reading, in steps of")
-    assert best.size == pytest.approx(step / np.sqrt(12.0), abs=4.0 * best.std)

@@ -27,7 +27,7 @@ class LinearGaussian:
 
 
 def linear_gaussian(
-    expansion: Expansion, parts: Sequence[tuple[Fit, Sequence[Float[np.ndarray, "q samples"]]]]
+    expansion: Expansion, parts: Sequence[tuple[Fit, Sequence[Float[np.ndarray, "_ _"]]]]
 ) -> LinearGaussian:
     """Of fits of the same point of the expanded model to several recordings, each with its own discrepancies' columns
     (whitened)."""

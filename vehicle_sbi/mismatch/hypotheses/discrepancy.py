@@ -142,7 +142,7 @@ def remainders(
 
 def _remainder(
     groups: Sequence[Discrepancy],
-    parts: Sequence[Float[np.ndarray, "n q"]],
+    parts: Sequence[Float[np.ndarray, "n _"]],
     there: Bool[np.ndarray, "n groups"],
     courses: dict[str, Float[np.ndarray, " time"]],
 ) -> Remainder:
