@@ -77,18 +77,24 @@ def test_probabilities_are_shares_of_draws(pruned: Pruned) -> None:
 
 def test_effects_of_which_one_is_always_there_stand_for_each_other(pruned: Pruned) -> None:
     either = drawn(pruned, body_roll=[1, 0, 1, 0, 1, 0], accelerometer_scale=[0, 1, 0, 1, 0, 1])
-    assert [sorted(group) for group in alternatives(either)] == [["accelerometer_scale", "body_roll"]]
+    assert [sorted(group) for group in alternatives(either, [])] == [["accelerometer_scale", "body_roll"]]
 
 
 def test_effects_that_are_there_together_or_hardly_ever_stand_for_nothing(pruned: Pruned) -> None:
-    assert alternatives(drawn(pruned, body_roll=[1, 0, 1, 0], accelerometer_scale=[1, 0, 1, 0])) == []
+    assert alternatives(drawn(pruned, body_roll=[1, 0, 1, 0], accelerometer_scale=[1, 0, 1, 0]), []) == []
     rare = drawn(pruned, body_roll=[1, *[0] * 9], accelerometer_scale=[0, 1, *[0] * 8])
-    assert alternatives(rare) == []
+    assert alternatives(rare, []) == []
+
+
+def test_effects_that_do_the_same_are_a_group_though_both_may_be_there(pruned: Pruned) -> None:
+    both = drawn(pruned, body_roll=[1, 1, 0, 0, 0], accelerometer_scale=[1, 0, 1, 0, 0])
+    assert alternatives(both, []) == []
+    assert alternatives(both, [("accelerometer_scale", "body_roll")]) == [["body_roll", "accelerometer_scale"]]
 
 
 def test_the_extended_model_has_the_likeliest_set_and_the_other_one_an_exchange(base: Fit, pruned: Pruned) -> None:
     either = drawn(pruned, body_roll=[1, 0, 1, 0, 1], accelerometer_scale=[0, 1, 0, 1, 0])
-    found = extended(base, either, detected=True)
+    found = extended(base, either, [], detected=True)
     assert found.model.effects == ("body_roll",)
     assert found.other is not None
     assert found.other.effects == ("accelerometer_scale",)
@@ -98,8 +104,8 @@ def test_the_extended_model_has_the_likeliest_set_and_the_other_one_an_exchange(
 
 
 def test_where_nothing_is_detected_the_model_is_the_base_model(base: Fit, pruned: Pruned) -> None:
-    assert extended(base, pruned, detected=False).model.fit is base
-    assert extended(base, None, detected=True).model.effects == ()
+    assert extended(base, pruned, [], detected=False).model.fit is base
+    assert extended(base, None, [], detected=True).model.effects == ()
 
 
 def test_sizes_are_those_of_draws_in_which_they_are_missing(pruned: Pruned) -> None:
@@ -152,7 +158,7 @@ def test_what_is_found_has_the_base_model_that_was_examined(base: Fit) -> None:
     known = directions(base.simulator, base.theta, CATALOGUE["body_roll"])
     examined = examine(Repertoire.around(base, known), np.random.default_rng(0))
     seen = card(base.simulator, base.theta, known)
-    found = Found(Gate(0.1, 0.0), examined, None, extended(base, None, detected=True), {}, None, seen)
+    found = Found(Gate(0.1, 0.0), examined, None, extended(base, None, [], detected=True), {}, None, seen)
     assert found.base.fit is base
     assert examined.detected
     assert examined.places[0].p_value < 0.05

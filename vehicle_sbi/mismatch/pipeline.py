@@ -91,7 +91,7 @@ def steps(
             expand_and_prune(base, showing, case.naming, prior=case.effect_prior, rng=pruning, budget=enough)
         ),
     )
-    likeliest = keep("extended", Extended, lambda: _extended(base, at_once.pruned, examined.detected, infer))
+    likeliest = keep("extended", Extended, lambda: _extended(base, at_once.pruned, seen, examined.detected, infer))
     predictions, gained = proved(case, Model((), base, base.simulator.space.names), likeliest.model)
     return Found(begun.gate, examined, at_once.pruned, likeliest, predictions, gained, seen)
 
@@ -101,8 +101,8 @@ def begin(case: Case, rng: np.random.Generator) -> Begun:
     return Begun(*through(fitted(case.observation, rng), rng))
 
 
-def _extended(base: Fit, pruned: Pruned | None, detected: bool, infer: Infer | None) -> Extended:
-    found = extended(base, pruned, detected)
+def _extended(base: Fit, pruned: Pruned | None, seen: Card, detected: bool, infer: Infer | None) -> Extended:
+    found = extended(base, pruned, seen.alike, detected=detected)
     return replace(found, model=infer(found.model)) if infer and found.model.effects else found
 
 

@@ -167,8 +167,7 @@ def _sets(answer: Verdict) -> pd.DataFrame:
         }
         for one in answer.explanations[:SETS]
     ]
-    alone = max(answer.p_unknown - sum(one.beside_unknown for one in answer.explanations), 0.0)
-    rows.append({"effects": "no effect", "alone": f"{answer.p_none:.3f}", "with a discrepancy": f"{alone:.3f}"})
+    rows.append({"effects": "none", "alone": f"{answer.p_none:.3f}", "with a discrepancy": ""})
     return pd.DataFrame(rows)
 
 

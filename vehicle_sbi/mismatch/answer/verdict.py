@@ -89,7 +89,7 @@ def verdict(case: Case, found: Found) -> Verdict:
         p_unknown=float(pruned.unexplained.mean()) if pruned else float(detected),
         share_explained=_share_explained(found.base.fit, model.fit) if model.effects else None,
         unknown=_unknown(pruned) if pruned and detected else None,
-        indistinguishable=alternatives(pruned) if pruned and detected else [],
+        indistinguishable=alternatives(pruned, found.seen.alike) if pruned and detected else [],
         separating_experiment=advice(model, found.extended.other) if found.extended.other else "",
         fit=fit,
         base_parameters={

@@ -211,7 +211,8 @@ def advice(a: Model, b: Model) -> str:
     Another sensor is asked for only where no drive is worth it.
     """
     ranked = separations(a, b)
-    pair = f"{' with '.join(a.effects)} from {' with '.join(b.effects)}"
+    ours, theirs = ([name for name in one.effects if name not in other.effects] for one, other in ((a, b), (b, a)))
+    pair = f"{' with '.join(ours or a.effects)} from {' with '.join(theirs or b.effects)}"
     if not ranked or ranked[0].separation < HIDDEN:
         most = f": they would differ by {ranked[0].separation:.1f} standard deviations at most" if ranked else ""
         return f"None of the drives and sensors that were tried would tell {pair}{most}."

@@ -89,6 +89,12 @@ class Card:
         sets = [tuple(names[i] for i, k in zip(shown, label, strict=True) if k == group) for group in set(label)]
         return sorted((group for group in sets if len(group) > 1), key=len, reverse=True)
 
+    @property
+    def alike(self) -> list[tuple[str, ...]]:
+        """The effects of those sets that hold several."""
+        found = [tuple(dict.fromkeys(name.split(".")[0] for name in group)) for group in self.groups()]
+        return [group for group in found if len(group) > 1]
+
     def could_show(self) -> dict[str, Candidate]:
         """Each effect that would show, by the parameter with which it does at the smallest share of its prior, the
         smallest one first."""

@@ -1,6 +1,6 @@
 """The model to go on with: the base model with the likeliest set of effects, fitted again."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,8 +24,8 @@ class Extended:
     other: Model | None
 
 
-def extended(base: Fit, pruned: Pruned | None, detected: bool) -> Extended:
-    """The base model itself where nothing is detected, or nothing is likelier than any effect."""
+def extended(base: Fit, pruned: Pruned | None, alike: Sequence[Sequence[str]], *, detected: bool) -> Extended:
+    """The base model itself where nothing is detected, or no effect is likelier than any; `alike` as below."""
     none = Model((), base, base.simulator.space.names)
     if pruned is None or not detected:
         return Extended(none, None)
@@ -33,7 +33,7 @@ def extended(base: Fit, pruned: Pruned | None, detected: bool) -> Extended:
     model = with_effects(base, pruned, effects) if effects else none
     if model is None:
         return Extended(none, None)
-    exchanged = _exchanged(pruned, effects)
+    exchanged = _exchanged(pruned, effects, alike)
     return Extended(model, with_effects(base, pruned, exchanged) if exchanged else None)
 
 
@@ -59,9 +59,9 @@ def _sizes(pruned: Pruned, effects: Collection[str]) -> list[str]:
     return found
 
 
-def _exchanged(pruned: Pruned, effects: tuple[str, ...]) -> tuple[str, ...]:
+def _exchanged(pruned: Pruned, effects: tuple[str, ...], alike: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """The set with the likeliest effect that stands for one of its own in that one's place; empty if there is none."""
-    for group in alternatives(pruned):
+    for group in alternatives(pruned, alike):
         own = [name for name in group if name in effects]
         others = sorted((name for name in group if name not in effects), key=lambda name: -pruned.effects[name])
         if own and others:
@@ -69,19 +69,28 @@ def _exchanged(pruned: Pruned, effects: tuple[str, ...]) -> tuple[str, ...]:
     return ()
 
 
-def alternatives(pruned: Pruned) -> list[list[str]]:
-    """Groups of effects that stand for each other: where one is missing, another is not; one of them is likely to be.
+def alternatives(pruned: Pruned, alike: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Groups of effects that stand for each other, one of which is likely to be missing: where one is, another is not,
+    or they are `alike`, groups of effects that do the same to these recordings.
 
-    The likeliest group first, and the likeliest effect in it.
+    The likeliest group first, and the likeliest effect in it; an effect is in one group.
     """
-    names = [name for name, p in pruned.effects.items() if ALIKE <= p <= 1.0 - ALIKE]
+    open_ones = [name for name, p in pruned.effects.items() if ALIKE <= p <= 1.0 - ALIKE]
+    groups, taken = list[list[str]](), set[str]()
+    for candidates in (*_exclusive(pruned, open_ones), *alike):
+        group = [name for name in open_ones if name in candidates and name not in taken]
+        if len(group) > 1 and pruned.any_of(group) > NEEDED:
+            groups.append(group)
+            taken |= {*group}
+    return sorted(groups, key=lambda group: -pruned.any_of(group))
+
+
+def _exclusive(pruned: Pruned, names: Sequence[str]) -> list[list[str]]:
+    """Each effect with those that are there where it is not."""
     if len(names) < 2:
         return []
     apart = np.corrcoef([pruned.missing[name] for name in names]) < INSTEAD
-    groups, left = list[list[str]](), set(names)
-    for k, name in enumerate(names):
-        if name in left:
-            group = [name, *(other for other, a in zip(names, apart[k], strict=True) if a and other in left)]
-            left -= {*group}
-            groups += [group] if len(group) > 1 and pruned.any_of(group) > NEEDED else []
-    return sorted(groups, key=lambda group: -pruned.any_of(group))
+    return [
+        [name, *(other for other, a in zip(names, row, strict=True) if a)]
+        for name, row in zip(names, apart, strict=True)
+    ]
