@@ -155,9 +155,17 @@ def tyre(
     if size == 0.0 or grip == 0.0:
         return float(F[0]), float(F[1])
     z = size / grip / (1.0 + kappa)
-    blend = np.array([c["tyre_curve_longitudinal"], c["tyre_curve_peak"]])
-    F += blend * (math.sin(1.5 * math.atan(z / 1.5)) * grip * demand / size - F)
+    peak = np.array([c["tyre_curve_longitudinal"], c["tyre_curve_peak"]])
+    full = np.array([0.0, c["tyre_curve_fullness"]])
+    along = grip * demand / size
+    F = F + peak * (math.sin(1.5 * math.atan(z / 1.5)) * along - F) + full * (full_curve(z) * along - F)
     return float(F[0]), float(F[1])
+
+
+def full_curve(z: float) -> float:
+    """Force over grip of the magic formula with C = 1.3 and E = -1.845."""
+    w = z / 1.3
+    return math.sin(1.3 * math.atan(w + 1.845 * (w - math.atan(w))))
 
 
 def pulled_tyre(
@@ -178,7 +186,9 @@ def pulled_tyre(
         X = root(lambda x: x * share(x) - abs(F_x), 0.0, 1e3 * (grip + abs(D)))
     F_y, S = D * share(X), math.hypot(X, D)
     if S > 0.0 and grip > 0.0:
-        F_y += c["tyre_curve_peak"] * (math.sin(1.5 * math.atan(S / grip / 1.5)) * grip / S * D - F_y)
+        across, z = grip / S * D, S / grip
+        peaked, full = math.sin(1.5 * math.atan(z / 1.5)) * across - F_y, full_curve(z) * across - F_y
+        F_y += c["tyre_curve_peak"] * peaked + c["tyre_curve_fullness"] * full
     return F_x, F_y
 
 

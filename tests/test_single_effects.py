@@ -353,6 +353,16 @@ def test_tyre_curve_peaks_at_all_of_the_grip() -> None:
     assert forces[0] < forces[1] > forces[2] > forces[3]
 
 
+def test_a_full_tyre_curve_bends_by_no_third_power_and_lies_above_dugoff_s() -> None:
+    # sin(C atan(w - E (w - atan w))) with E = -(1 + C^2/2) is z - O(z^5) with z = C w; at a tenth of the grip 1e-5, the
+    # next term's factor being below 1. Above the knee it is nearer the grip than 1 - 1/(4 z), and never beyond it.
+    p = derived(tyre_curve_fullness=1.0)
+    assert side_force(p, 0.1 * 6000.0 / 8e4) == pytest.approx(600.0, rel=0.1**4)
+    for z in (0.7, 1.0, 1.5, 3.0):
+        force = side_force(p, z * 6000.0 / 8e4)
+        assert (1.0 - 0.25 / z) * 6000.0 < force <= 6000.0 * (1.0 + 8 * EPS)
+
+
 def test_stiffness_follows_load_and_turning() -> None:
     # Below the knee the force is stiffness times slip, to the rounding of a few products.
     stiff = side_force(derived(load_sensitivity_coefficient=0.8), 1e-3, F_z=9000.0, load=1.5)

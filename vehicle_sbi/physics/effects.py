@@ -41,6 +41,10 @@ REPORTED = (
 # h_cog / track is at most 0.4, and k 0.43: at 0.5 stiffness no longer grows with the load.
 MOST_LOAD_TRANSFER = 0.005  # [1/(m/s^2)^2]
 PEAK_SHAPE = 1.5  # C of the magic formula that the tyre curve blends into
+FULL_SHAPE = (
+    1.3  # C of the one that bends late, by the E at which it bends by no third power: any less, it would stiffen
+)
+FULL_CURVATURE = -(1.0 + 0.5 * FULL_SHAPE**2)
 DEAD_TIME = "pure dead time"
 RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and Vehicle Dynamics"
 
@@ -159,10 +163,12 @@ CATALOGUE: Mapping[str, Effect] = {
         _effect("lateral_load_transfer", "tyre", "an axle loses cornering stiffness as load moves to its outer wheel",
                 "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2)", f"{PACEJKA}, ch. 1",
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0)),
-        _effect("tyre_curve", "tyre", "tyre forces peak and fall, instead of saturating",
-                "F = F_Dugoff + peak (sin(3/2 atan(2/3 z)) mu F_z - F_Dugoff) laterally, longitudinal in place of peak "
-                "longitudinally, z = demand over grip",
-                f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0), longitudinal=("1", 0.0, 1.0, 0.0)),
+        _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late, instead of saturating",
+                "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(1.3, -1.845) - F_Dugoff), F_x with "
+                "longitudinal in place of peak, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, z = demand over "
+                "grip",
+                f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0), longitudinal=("1", 0.0, 1.0, 0.0),
+                fullness=("1", 0.0, 1.0, 0.0)),
         _effect("relaxation", "tyre", "slips build up over a rolled length, beyond the file's C_alpha / K",
                 "sigma = C_alpha / K + length of each axle", f"{PACEJKA}, sec. 7.2; the paper's equation 11",
                 front=("m", 0.0, 1.0, 0.0), rear=("m", 0.0, 1.0, 0.0)),
@@ -597,19 +603,27 @@ def lateral_load_transfer(p, a_y: float) -> float:
 
 @compiled
 def tyre_curve(p, z: float) -> tuple[float, float]:
-    """Factors on Dugoff's forces (F_x, F_y) at demand over grip z: a blend towards sin(C atan(z/C)), which peaks
-    (Pacejka, sec. 4.3), in place of z below the knee at 1/2 and 1 - 1/(4 z) beyond it."""
+    """Factors on Dugoff's forces (F_x, F_y) at demand over grip z: blends towards magic formulas, one of which peaks
+    and one bends late (Pacejka, sec. 4.3), in place of z below the knee at 1/2 and 1 - 1/(4 z) beyond it."""
     if z == 0.0:
         return 1.0, 1.0
     saturating = z if z <= 0.5 else 1.0 - 0.25 / z
-    other = math.sin(PEAK_SHAPE * math.atan(z / PEAK_SHAPE)) / saturating - 1.0
-    return 1.0 + p.tyre_curve_longitudinal * other, 1.0 + p.tyre_curve_peak * other
+    peaked = magic_formula(z, PEAK_SHAPE, 0.0) / saturating - 1.0
+    full = magic_formula(z, FULL_SHAPE, FULL_CURVATURE) / saturating - 1.0
+    return 1.0 + p.tyre_curve_longitudinal * peaked, 1.0 + p.tyre_curve_peak * peaked + p.tyre_curve_fullness * full
+
+
+@compiled
+def magic_formula(z: float, C: float, E: float) -> float:
+    """Force over grip at demand over grip z, of slope 1 at none: sin(C atan(w - E (w - atan w))), w = z/C."""
+    w = z / C
+    return math.sin(C * math.atan(w - E * (w - math.atan(w))))
 
 
 @compiled
 def curved(p) -> bool:
     """Whether the tyre curve is another one than Dugoff's."""
-    return p.tyre_curve_peak != 0.0 or p.tyre_curve_longitudinal != 0.0
+    return p.tyre_curve_peak != 0.0 or p.tyre_curve_longitudinal != 0.0 or p.tyre_curve_fullness != 0.0
 
 
 @compiled
