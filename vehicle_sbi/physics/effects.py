@@ -165,8 +165,8 @@ CATALOGUE: Mapping[str, Effect] = {
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0)),
         _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late, instead of saturating",
                 "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(1.3, -1.845) - F_Dugoff), F_x with "
-                "longitudinal in place of peak, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, z = demand over "
-                "grip",
+                "longitudinal in place of peak, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, z = demand "
+                "over grip",
                 f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0), longitudinal=("1", 0.0, 1.0, 0.0),
                 fullness=("1", 0.0, 1.0, 0.0)),
         _effect("relaxation", "tyre", "slips build up over a rolled length, beyond the file's C_alpha / K",
