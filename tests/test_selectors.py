@@ -12,7 +12,7 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian
 
 
 def orthogonal() -> selectors.Problem:
-    """A base column, four sizes of three effects, of which the first and the last are there by ten and twelve deviations."""
+    """A base column, four sizes of three effects: the first and the last are there by ten and twelve deviations."""
     information = np.array([100.0, 100.0, 100.0, 100.0, 100.0])
     true = np.array([0.5, 1.0, 0.0, 0.0, -1.2])
     names = ("a.x", "b.x", "b.y", "c.x")

@@ -27,7 +27,6 @@ SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tr
 MOST_STEPS = 15
 CONVERGED = 0.01  # decrease of half the sum of squares, which is log likelihood, at which a fit ends
 NOISE_ROUNDS = 4  # of fit and noise at most
-NEAR_ROUNDS, NEAR_STEPS = 2, 6  # the same and Gauss-Newton steps of a model that is one further than a fitted one
 MEMORY_S = 0.5  # [s], the correlation time of noise at most: what is slower is physics, or a sensor that drifts
 STATES = ("v_x", "v_y", "r")
 
@@ -194,24 +193,9 @@ class Fit:
     @property
     def covariance(self) -> Float[np.ndarray, "d d"]:
         """Of the parameters in their own units, under a normal prior as wide as the box, or as narrow as shrinkage."""
-        return self.tempered(1.0)
-
-    def tempered(self, power: float) -> Float[np.ndarray, "d d"]:
-        """The same covariance under the likelihood to a power."""
         spread = self.simulator.space.prior_std
         pull = np.eye(len(spread)) if self.shrinkage is None else np.diag(np.maximum(self.shrinkage.precision, 1.0))
-        return np.linalg.inv(power * self.information + pull) * np.outer(spread, spread)
-
-    @property
-    def log_evidence(self) -> float:
-        """Laplace's approximation: log likelihood + log of the share of the prior's box that the posterior fills."""
-        return self.log_likelihood + log_volume(self.information)
-
-
-def log_volume(information: Float[np.ndarray, "d d"]) -> float:
-    """Log of the share of a uniform prior that a posterior with this information (in units of the prior's standard
-    deviations) fills: (2 pi)^(d/2) / sqrt(12^d det F) where much is seen, 1 along what is not seen at all."""
-    return -0.5 * float(np.linalg.slogdet(np.eye(len(information)) + information * 6.0 / np.pi)[1])
+        return np.linalg.inv(self.information + pull) * np.outer(spread, spread)
 
 
 def _steps(fit: Fit) -> Float[np.ndarray, "shares d"]:
@@ -315,8 +299,3 @@ def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS
         if np.allclose(noise.floor, before.floor, rtol=0.01) and np.allclose(noise.rho, before.rho, atol=0.005):
             break
     return fit
-
-
-def settled(found: Fit | None) -> Fit | None:
-    """A fit that began near its optimum, under noise of its own; none if there is none."""
-    return None if found is None else with_own_noise(found, NEAR_ROUNDS, NEAR_STEPS)

@@ -237,22 +237,17 @@ def profile(
     changes: Float[np.ndarray, "k q channels time"],
     low: np.ndarray,
     high: np.ndarray,
-    *,
-    precision: float = 0.0,
 ) -> Profiled:
-    """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best.
-
-    Sizes are as likely everywhere, or normal about zero with a `precision`.
-    """
+    """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best."""
     k, q, m, p = *changes.shape[:2], len(about.J), len(about.back)
     if k > MODELS:
         low, high = (np.broadcast_to(end, (k, q)) for end in (low, high))
         parts = [slice(first, first + MODELS) for first in range(0, k, MODELS)]
-        found = [profile(about, changes[part], low[part], high[part], precision=precision) for part in parts]
+        found = [profile(about, changes[part], low[part], high[part]) for part in parts]
         each = [(one.size, one.log_likelihood, one.information) for one in found]
         return Profiled(*(np.concatenate(values) for values in zip(*each, strict=True)))
     quadratic = Quadratic.of(about, changes)
-    prior = np.diag(np.repeat([1.0, 0.0, precision], [m, p, q]))
+    prior = np.diag(np.repeat([1.0, 0.0], [m, p + q]))
     low, high = (
         np.concatenate([np.full((k, p), rim), np.broadcast_to(end, (k, q))], axis=1)
         for rim, end in ((0.0, low), (WIDTH, high))
@@ -266,19 +261,6 @@ def profile(
     cross = A[:, m + p :, : m + p] * free[:, None, :]
     information = A[:, m + p :, m + p :] - cross @ np.linalg.solve(others, np.swapaxes(cross, 1, 2))
     return Profiled(x[:, m + p :], log_likelihood, information)
-
-
-def gained(about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> float:
-    """Log likelihood that directions of any size gain together, each under the noise that is then left over."""
-    free = np.full((1, len(changes)), np.inf)
-    return max(float(profile(about, changes[None], -free, free).log_likelihood[0] - about.alone), 0.0)
-
-
-def gained_at_random(about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> float:
-    """Log evidence that directions gain together whose sizes are independent and standard normal."""
-    free = np.full((1, len(changes)), np.inf)
-    found = profile(about, changes[None], -free, free, precision=1.0)
-    return float(found.log_likelihood[0] - about.alone - 0.5 * np.linalg.slogdet(found.information[0])[1])
 
 
 def kinds(rho: np.ndarray) -> np.ndarray:

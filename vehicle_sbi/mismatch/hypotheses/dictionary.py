@@ -40,11 +40,6 @@ class Inventory:
         """Where blocks are among all."""
         return slice(len(self.directions), len(self.directions) + len(self.blocks))
 
-    @property
-    def of_laws(self) -> slice:
-        """Where laws are among all."""
-        return slice(len(self.directions) + len(self.blocks), None)
-
 
 @dataclass(frozen=True)
 class Repertoire:

@@ -139,11 +139,6 @@ def followed(simulator: Simulator, law: Law) -> Simulator:
     return replace(simulator, windows=replace(simulator.windows, u=u), nominal=nominal)
 
 
-def moved(law: Law, simulator: Simulator, theta: Float[np.ndarray, " d"]) -> Law:
-    """The law in other recordings, simulated at theta, in the units of those that it was found in."""
-    return replace(law, course=signals(simulator, theta, dict(law.units))[law.signal])
-
-
 def law_slopes(
     simulator: Simulator, theta: Float[np.ndarray, " d"], y: Float[np.ndarray, "channels time"], given: Sequence[Law]
 ) -> Float[np.ndarray, "k channels time"]:

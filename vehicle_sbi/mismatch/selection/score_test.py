@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import log_ndtr
 from scipy.stats import rankdata
 
 from vehicle_sbi.mismatch.estimation.fit import Fit
@@ -82,40 +81,6 @@ class Scores:
         ranks = [rankdata(-one, method="max") for one in statistics]
         least = np.min(ranks, axis=0)
         return float((least <= least[0]).sum() / len(least))
-
-    @property
-    def excess(self) -> float:
-        """Square of the largest score over that which noise alone exceeds in one of twenty; at least 1."""
-        if not self.null.size:
-            return 1.0
-        reached = float(np.quantile(np.abs(self.null).max(axis=1), 0.95))
-        return max(1.0, (float(np.abs(self.z).max()) / reached) ** 2)
-
-    @property
-    def log_evidence(self) -> Float[np.ndarray, " k"]:
-        """Log Bayes factor of each direction at first order against none, its size uniform over the prior."""
-        return uniform_evidence(self.gain, self.size, self.information, self.low, self.high)
-
-
-def uniform_evidence(
-    gain: Float[np.ndarray, " k"],
-    size: Float[np.ndarray, " k"],
-    information: Float[np.ndarray, " k"],
-    low: Float[np.ndarray, " k"],
-    high: Float[np.ndarray, " k"],
-) -> Float[np.ndarray, " k"]:
-    """Log evidence of a size that is as likely anywhere from low to high, where its likelihood is normal about `size`
-    with so much information and gains so much there over none."""
-    std = information**-0.5
-    mass = _log_mass((low - size) / std, (high - size) / std)
-    return gain + mass + 0.5 * np.log(2 * np.pi) + np.log(std) - np.log(high - low)
-
-
-def _log_mass(low: Float[np.ndarray, " k"], high: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """log of the standard normal's mass between two bounds, from whichever tail is nearer."""
-    flip = low > 0
-    a, b = np.where(flip, -high, low), np.where(flip, -low, high)
-    return log_ndtr(b) + np.log1p(-np.exp(np.minimum(log_ndtr(a) - log_ndtr(b), -1e-12)))
 
 
 def score(
