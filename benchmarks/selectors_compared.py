@@ -14,9 +14,11 @@ The last two have base parameters, shapes and discrepancies integrated out as no
 """
 
 import json
+import platform
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -153,7 +155,9 @@ def main(folder: Path, name: str) -> None:
             for method, named in METHODS.items():
                 said[method].append((truth, named(given)))
     table = pd.DataFrame([{"method": method} | _scored(found) for method, found in said.items()])
-    text = f"{len(said['gibbs'])} whole cars of {folder.name}.\n\n{markdown(table)}"
+    seed = json.loads((folder / "benchmark.json").read_text())["seed"]
+    drawn = f"{len(said['gibbs'])} whole cars of seed {seed}"
+    text = f"{drawn}, {date.today()}, {platform.platform()}.\n\n{markdown(table)}"
     write_text(RESULTS / "selectors.md", text)
     print(text)
 
