@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from vehicle_sbi.inference.directions import within
 from vehicle_sbi.inference.information import sensitivity
-from vehicle_sbi.mismatch.estimation.fit import Fit, Metric, linearise, with_own_noise
+from vehicle_sbi.mismatch.estimation.fit import CONVERGED, Fit, Metric, _updated, descend, linearise, with_own_noise
 from vehicle_sbi.mismatch.estimation.multistart import best, likeliest
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import ParameterSpace
@@ -136,3 +136,26 @@ def test_what_begins_and_ends_is_found_from_a_second_away() -> None:
     expected = np.concatenate([TRUTH, [truth[k] for k in key]])
     assert np.all(np.abs(found.theta - expected) < 6.0 * std)
     assert std[len(TRUTH) + key.index("start")] < 0.1
+
+
+def test_updated_derivatives_hold_for_the_step_that_was_taken_and_stay_across_it() -> None:
+    # Broyden's update: J step is what the step changed, and J along all that is orthogonal to it is as before.
+    sim = lateral()
+    fit = Fit(recorded(sim), TRUTH, linearise(sim, TRUTH))
+    step = np.array([0.3, -0.2, 0.4])
+    theta = TRUTH + step * sim.space.prior_std
+    y = sim.noise_free(theta[None])[0]
+    J = _updated(fit, theta, y).J
+    np.testing.assert_allclose(np.tensordot(step, J, axes=1), y - fit.at.y, atol=1e-9)
+    across = np.array([0.2, 0.3, 0.0])
+    np.testing.assert_allclose(np.tensordot(across, J, axes=1), np.tensordot(across, fit.at.J, axes=1), atol=1e-9)
+
+
+def test_secants_end_at_the_optimum_that_differences_find() -> None:
+    # Both end where no step gains CONVERGED of log likelihood any more: apart by a few of them at most.
+    observation = recorded(lateral(), body_roll__gradient=0.012)
+    start = TRUTH + 0.5 * observation.simulator.space.prior_std
+    by_differences, by_secants = (descend(observation, start, 30, secant=secant) for secant in (False, True))
+    assert by_differences is not None
+    assert by_secants is not None
+    assert by_secants.log_likelihood == pytest.approx(by_differences.log_likelihood, abs=4 * CONVERGED)

@@ -29,6 +29,8 @@ def orthogonal() -> selectors.Problem:
 
 @pytest.mark.parametrize("method", [selectors.susie, selectors.bic])
 def test_what_is_there_is_named_and_nothing_else(method) -> None:
+    # An idle effect of SuSiE gives a size of z = 0 its weight 1/8 times 101^-1/2 against 1/2 for none: 0.023. In 16
+    # tries (eight idle effects, two sizes) that is 0.31.
     found = method(orthogonal())
     assert found["a"] > 0.99
     assert found["c"] > 0.99

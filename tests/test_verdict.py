@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from vehicle_sbi.inference.features import Score
 from vehicle_sbi.inference.rounds import Truncated
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.mismatch.answer.verdict import Found, _parameters, _share_explained, _unknown
-from vehicle_sbi.mismatch.answer.wording import _limits
+from vehicle_sbi.mismatch.answer.wording import _limits, headline
 from vehicle_sbi.mismatch.design.identifiability import card
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import Gate
@@ -152,6 +154,17 @@ def test_where_nothing_is_missing_it_is_said_which_effects_would_have_shown() ->
     assert f"{first.parameter.name} from {first.least} {first.parameter.unit}" in said
     scale = replace(seen, candidates=tuple(c for c in seen.candidates if c.effect == "gyro_scale"))
     assert _limits(scale).endswith(" off 1.")
+
+
+def test_a_headline_has_at_most_25_words_however_many_names_there_are() -> None:
+    names = [*CATALOGUE]
+    group = ["lateral_load_transfer", "road_grade_profile"]
+    for n in (0, 1, 4, 5, len(names)):
+        effects = dict.fromkeys((name for name in names[:n] if name not in group), 0.97)
+        answer: Any = SimpleNamespace(detected=True, p_value=0.004, effects=effects, indistinguishable=[group] * 3)
+        said = headline(answer, trusted=False)
+        assert len(said.split()) <= 25
+        assert said.startswith("The base fit is doubtful. Missing: ")
 
 
 def test_what_is_found_has_the_base_model_that_was_examined(base: Fit) -> None:

@@ -54,16 +54,9 @@ def computed(name: str, kind: type[Result], compute: Callable[[], Result]) -> Re
     return compute()
 
 
-def diagnose(
-    case: Case,
-    *,
-    rng: np.random.Generator,
-    budget: Budget = BUDGET,
-    keep: "Keep" = computed,
-    infer: Infer | None = None,
-) -> Verdict:
+def diagnose(case: Case, *, rng: np.random.Generator, budget: Budget = BUDGET) -> Verdict:
     """The verdict on a case, no files needed."""
-    return verdict(case, steps(case, rng=rng, budget=budget, keep=keep, infer=infer))
+    return verdict(case, steps(case, rng=rng, budget=budget))
 
 
 def steps(
@@ -71,7 +64,7 @@ def steps(
     *,
     rng: np.random.Generator,
     budget: Budget = BUDGET,
-    keep: "Keep" = computed,
+    keep: Keep = computed,
     infer: Infer | None = None,
 ) -> Found:
     """What every step finds; `keep` is asked for each of STEPS by name, type and how to compute it, `infer` how the
@@ -92,7 +85,7 @@ def steps(
         ),
     )
     likeliest = keep("extended", Extended, lambda: _extended(base, at_once.pruned, seen, examined.detected, infer))
-    predictions, gained = proved(case, Model((), base, base.simulator.space.names), likeliest.model)
+    predictions, gained = proved(case, Model.without_effects(base), likeliest.model)
     return Found(begun.gate, examined, at_once.pruned, likeliest, predictions, gained, seen)
 
 

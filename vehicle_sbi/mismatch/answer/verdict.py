@@ -20,7 +20,7 @@ from vehicle_sbi.mismatch.answer.schema import (
     Verdict,
     Visible,
 )
-from vehicle_sbi.mismatch.answer.wording import headline, lines
+from vehicle_sbi.mismatch.answer.wording import NAMED, headline, lines
 from vehicle_sbi.mismatch.design.experiment import advice
 from vehicle_sbi.mismatch.design.identifiability import Card
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, drawn
@@ -40,7 +40,6 @@ from vehicle_sbi.physics.effects import CATALOGUE
 SCHEMA = 2
 LISTED = 40  # sets of effects at most
 FEWEST = 30  # draws of a set, from which its parameters are said by those alone
-NAMED = 0.5  # probability from which an effect is said to be missing
 LEAST = 0.05  # probability from which one that is not is listed
 CORNERED = 2  # base parameters on rims, from which the fit is said to be in a corner
 MISFIT = 2.0  # times the sensor's own noise, from which what is left over is worth a warning
@@ -62,7 +61,7 @@ class Found:
     @property
     def base(self) -> Model:
         """The base model."""
-        return Model((), self.examined.fit, self.examined.fit.simulator.space.names)
+        return Model.without_effects(self.examined.fit)
 
 
 def verdict(case: Case, found: Found) -> Verdict:
@@ -123,8 +122,10 @@ def _p_none(pruned: Pruned | None, detected: bool) -> float:
 
 def _explanations(pruned: Pruned | None, model: Model) -> list[Named]:
     """Sets of effects that were drawn, the likeliest first."""
-    sets = [*(pruned.sets.items() if pruned else ())]
-    return [_named(pruned, effects, drawn, model) for effects, drawn in sets if effects][:LISTED] if pruned else []
+    if pruned is None:
+        return []
+    sets = [(effects, rows) for effects, rows in pruned.sets.items() if effects]
+    return [_named(pruned, effects, rows, model) for effects, rows in sets[:LISTED]]
 
 
 def _named(pruned: Pruned, effects: tuple[str, ...], rows: np.ndarray, model: Model) -> Named:
@@ -195,7 +196,7 @@ def _law(one: Remainder, effects: tuple[str, ...]) -> Followed:
 
 
 def _over_time(fit: Fit, one: Remainder) -> Latent:
-    """A load or error in each stretch of time, on average, as bumps weigh it."""
+    """A load or error in each stretch of time, on average."""
     t, spans = clock(fit.simulator), stretches(fit.simulator)
     size = [float(one.course[(t >= start) & (t <= stop)].mean()) for start, stop in spans]
     within = own_time(fit.simulator, *spans[int(np.argmax(np.abs(size)))])

@@ -1,6 +1,6 @@
 """The answer in words: a headline of at most 25 words, and at most five lines after it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from vehicle_sbi.inference.directions import null
@@ -12,6 +12,7 @@ from vehicle_sbi.mismatch.selection.predictive import Prediction
 from vehicle_sbi.rounding import mean_and_std
 
 NAMED = 0.5  # probability from which an effect is named
+WORDS = 25  # of a headline at most
 IN_HEADLINE, IN_LINE = 4, 5  # effects, and sizes, that are spelled out at most
 MOVED = 1.0  # standard deviations by which a base parameter moves, from which it is worth saying
 PARAMETERS = 3  # that are said to have moved at most
@@ -29,8 +30,14 @@ def headline(answer: Verdict, *, trusted: bool) -> str:
     if not named:
         differ = f"Simulation and recording differ (p = {answer.p_value:.2g})"
         return f"{begun}{differ}, and no known effect explains it for certain."
-    more = len(named) - IN_HEADLINE
-    return f"{begun}Missing: {', '.join(named[:IN_HEADLINE])}{f', and {more} more' if more > 0 else ''}."
+    tried = (_missing(begun, named, spelled) for spelled in range(min(len(named), IN_HEADLINE), 0, -1))
+    return next((said for said in tried if len(said.split()) <= WORDS), _missing(begun, named, 1))
+
+
+def _missing(begun: str, named: Sequence[str], spelled: int) -> str:
+    """With so many of the names spelled out."""
+    more = len(named) - spelled
+    return f"{begun}Missing: {', '.join(named[:spelled])}{f', and {more} more' if more > 0 else ''}."
 
 
 def _named(answer: Verdict) -> Iterator[str]:
@@ -61,7 +68,7 @@ def _sizes(answer: Verdict) -> str:
     values = [quantity(name, e) for name, e in found.sizes.items()] if found else []
     spelled = "; ".join(values[:IN_LINE]) + (f"; and {len(values) - IN_LINE} more" if len(values) > IN_LINE else "")
     acting = [f"{one}." for one in found.acting] if found else []
-    size = [f"{spelled[0]}{spelled[1:]}."] if spelled else []
+    size = [f"{spelled}."] if spelled else []
     return " ".join([f"They differ {where[0]} (p = {answer.p_value:.2g})." if where else "", *size, *acting]).strip()
 
 

@@ -20,6 +20,11 @@ class Model:
     base: tuple[str, ...]
     posterior: Float[np.ndarray, "n d"] | None = None
 
+    @classmethod
+    def without_effects(cls, fit: Fit) -> "Model":
+        """The base model itself."""
+        return cls((), fit, fit.simulator.space.names)
+
     @property
     def own(self) -> Bool[np.ndarray, " d"]:
         """Which parameters came with its effects."""

@@ -26,7 +26,7 @@ class Extended:
 
 def extended(base: Fit, pruned: Pruned | None, alike: Sequence[Sequence[str]], *, detected: bool) -> Extended:
     """The base model itself where nothing is detected, or no effect is likelier than any; `alike` as below."""
-    none = Model((), base, base.simulator.space.names)
+    none = Model.without_effects(base)
     if pruned is None or not detected:
         return Extended(none, None)
     effects = next(iter(pruned.sets))
