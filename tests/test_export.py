@@ -1,0 +1,422 @@
+"""Exported files, read back, hold what was identified and nothing else, with its uncertainty and every caveat."""
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from conftest import ROOT
+from hypothesis import given
+from hypothesis import strategies as st
+from vehiclemodels.vehicle_parameters import VehicleParameters, setup_vehicle_parameters
+
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.mismatch.answer.schema import Verdict
+from vehicle_sbi.physics.vehicle import GRAVITY
+from vehicle_sbi.report.export.export import FORMATS, export
+from vehicle_sbi.report.export.writing import number, one_line
+from vehicle_sbi.report.run_folder import RunFolder
+from vehicle_sbi.report.tables import COLUMNS
+from vehicle_sbi.rounding import rounded
+
+VEHICLE: dict[str, Any] = {
+    "_target_": "vehicle_sbi.physics.vehicle.Vehicle",
+    "name": "paper",
+    "m": 1500.0,
+    "L": 2.7,
+    "l_f": 1.3,
+    "h_cog": 0.5,
+    "C_alpha_f": 6.0e4,
+    "C_alpha_r": 6.0e4,
+    "mu": 0.9,
+    "R_f": 0.31,
+    "steering_ratio": 16.0,
+}
+# Mean, standard deviation and unit of each parameter; those of UNKNOWN are not identified.
+MEANS: dict[str, tuple[float, float, str]] = {
+    "l_f": (1.25, 0.02, "m"),
+    "h_cog": (0.41, 0.1, "m"),
+    "delta_C_alpha_f": (0.1, 0.03, "1e5 N/rad"),
+    "delta_C_alpha_r": (0.2, 0.05, "1e5 N/rad"),
+    "steering_ratio.gain": (1.05, 0.01, "1"),
+    "steering_offset.angle": (0.004, 0.001, "rad"),
+    "steering_dead_band.width": (0.01, 0.002, "rad"),
+    "steering_delay.time": (0.08, 0.01, "s"),
+    "imu_lever_arm.x": (-0.3, 0.05, "m"),
+    "imu_misalignment.yaw": (0.02, 0.004, "rad"),
+}
+UNKNOWN = ("h_cog",)
+WARNING = "The last round leaks: only 40% of its density lies inside the prior."
+HOSTILE = "car\ncf: 1\r\n\x00\x1b[2J\u2028vehicle: {cf: 2}\n)\nimport os #"
+
+
+def samples_of(means: Mapping[str, tuple[float, float, str]]) -> pd.DataFrame:
+    """Draws whose first two parameters but h_cog hang together."""
+    g = np.random.default_rng(0)
+    common = g.normal(size=500)
+    columns = {name: mean + std * (0.6 * common + 0.8 * g.normal(size=500)) for name, (mean, std, _) in means.items()}
+    return pd.DataFrame(columns)
+
+
+def run_of(
+    folder: Path,
+    means: Mapping[str, tuple[float, float, str]] = MEANS,
+    *,
+    unknown: tuple[str, ...] = UNKNOWN,
+    complete: bool = True,
+    **vehicle: Any,
+) -> pd.DataFrame:
+    """A run as its own writer leaves it; returns its table, by parameter."""
+    samples = samples_of(means)
+    rows = [
+        {
+            "parameter": name, "unit": unit, "prior_low": -9.0, "prior_high": 9.0, "true": np.nan,
+            "mean": samples[name].mean(), "std": samples[name].std(), "q05": samples[name].quantile(0.05),
+            "q50": samples[name].median(), "q95": samples[name].quantile(0.95), "bound_std": 0.1, "contraction": 0.9,
+            "identified": name not in unknown,
+        }
+        for name, (_, _, unit) in means.items()
+    ]  # fmt: skip
+    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    with RunFolder.open(folder, config={"vehicle": VEHICLE | vehicle}, overrides=[], inputs={}) as run:
+        table.to_csv(folder / "table.csv", index=False)
+        samples.to_parquet(folder / "samples.parquet")
+        run.record(warnings=[WARNING])
+        if complete:
+            run.complete()
+    return table.set_index("parameter")
+
+
+def numbers(mean: float, std: float, unit: str) -> dict[str, Any]:
+    return {"mean": mean, "std": std, "q05": mean - 1.6 * std, "q95": mean + 1.7 * std, "unit": unit}
+
+
+def diagnosis_of(folder: Path, **changes: Any) -> dict[str, Any]:
+    """A diagnosis that names a roll and a delay, and doubts a lag; its C_alpha_r is as wide as its prior."""
+    base = {"l_f": (1.33, 0.05, "m"), "C_alpha_f": (1.25e5, 6e3, "N/rad"), "C_alpha_r": (1.2e5, 8e4, "N/rad")}
+    sizes = {
+        "body_roll.gradient": numbers(0.006, 0.001, "rad/(m/s^2)"),
+        "steering_delay.time": numbers(0.05, 0.01, "s"),
+    }
+    doubted = {"steering_lag.time": numbers(0.02, 0.02, "s")}
+    effects = ["body_roll", "steering_delay"]
+    verdict: dict[str, Any] = {
+        "headline": "Missing: body roll (0.95), steering delay (0.80).",
+        "explanations": [
+            {"effects": effects, "probability": 0.7, "parameters": sizes},
+            {"effects": [*effects, "steering_lag"], "probability": 0.1, "parameters": sizes | doubted},
+        ],
+        "effects": {"body_roll": 0.95, "steering_delay": 0.8, "steering_lag": 0.1},
+        "p_unknown": 0.62,
+        "unknown": None,
+        "indistinguishable": [["steering_delay", "sensor_delay"]],
+        "fit": {"accepted": False, "accepted_because": "it gains nothing there"},
+        "base_parameters": {
+            name: {"before": {}, "after": numbers(*of), "unit": of[2]} for name, of in base.items()
+        },
+        "warnings": ["l_f lies on the edge of its prior in the base model, where a mismatch may hide."],
+    } | changes  # fmt: skip
+    assert set(verdict) <= {field.name for field in fields(Verdict)}
+    prior = {"l_f": [1.0, 1.6], "C_alpha_f": [5e4, 3e5], "C_alpha_r": [5e4, 3e5]}
+    with RunFolder.open(folder, config={"vehicle": VEHICLE, "prior": prior}, overrides=[], inputs={}) as run:
+        (folder / "verdict.json").write_text(json.dumps(verdict))
+        (folder / "extended.yaml").write_text(yaml.safe_dump({"prior": prior | {"steering_delay": {"time": [0, 0.5]}}}))
+        run.complete()
+    return verdict
+
+
+def texts(folder: Path, format: str) -> dict[str, str]:
+    return {path.name: path.read_text() for path in export(folder, format).files}
+
+
+def parameters(text: str) -> dict[str, Any]:
+    return yaml.safe_load(text)["/**"]["ros__parameters"]
+
+
+def specs(text: str) -> dict[str, float]:
+    """The keywords of the one call in a file that builds CarSpecs."""
+    (call,) = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    return {str(keyword.arg): ast.literal_eval(keyword.value) for keyword in call.keywords}
+
+
+def comments(text: str) -> str:
+    """What is said in a file, on one line."""
+    return " ".join(" ".join(line.partition("#")[2].strip(" -") for line in text.splitlines()).split())
+
+
+def line_of(text: str, key: str) -> str:
+    (found,) = [line for line in text.splitlines() if line.strip().startswith(key)]
+    return found
+
+
+def test_autoware_gets_axle_stiffnesses_and_wheel_loads(tmp_path: Path) -> None:
+    """mass_fl = m l_r / (2 L) gives Autoware's l_f = L (mass_rl + mass_rr) / m back."""
+    table = run_of(tmp_path)
+    text = texts(tmp_path, "autoware")["mpc.param.yaml"]
+    vehicle = parameters(text)["vehicle"]
+    assert vehicle["cf"] == pytest.approx(6e4 + 1e5 * table["mean"]["delta_C_alpha_f"], rel=1e-15)
+    assert vehicle["cr"] == pytest.approx(6e4 + 1e5 * table["mean"]["delta_C_alpha_r"], rel=1e-15)
+    loads = [vehicle[f"mass_{wheel}"] for wheel in ("fl", "fr", "rl", "rr")]
+    assert sum(loads) == pytest.approx(1500.0, rel=1e-14)
+    assert 2.7 * (loads[2] + loads[3]) / 1500.0 == pytest.approx(table["mean"]["l_f"], rel=1e-14)
+    assert parameters(text)["input_delay"] == table["mean"]["steering_delay.time"]
+    std = 1e5 * table["std"]["delta_C_alpha_f"]
+    assert f"N/rad; std {rounded(std, std)};" in line_of(text, "cf:")
+    assert "AXLE value" in line_of(text, "cf:")
+    assert "WARNING: cf and cr are AXLE values" in comments(text)
+    assert "with m, L STATED" in line_of(text, "mass_fl:")
+
+
+def test_autowares_simulator_has_the_signs_of_its_own_code(tmp_path: Path) -> None:
+    """It reports its angle plus steer_bias, ours adds the offset to the reported one; its dead band has one side."""
+    mean = run_of(tmp_path)["mean"]
+    found = parameters(texts(tmp_path, "autoware")["simulator_model.param.yaml"])
+    assert found["steer_bias"] == -mean["steering_offset.angle"]
+    assert found["steer_dead_band"] == 0.5 * mean["steering_dead_band.width"]
+    assert found["steer_time_delay"] == mean["steering_delay.time"]
+    assert found["debug_steer_scaling_factor"] == mean["steering_ratio.gain"]
+    assert set(found) == {"steer_bias", "steer_dead_band", "steer_time_delay", "debug_steer_scaling_factor"}
+
+
+def test_the_imus_place_is_in_base_link_with_the_samples_own_uncertainty(tmp_path: Path) -> None:
+    """x = L - l_f + arm is linear, so its standard deviation is that of the samples to rounding."""
+    table, samples = run_of(tmp_path), samples_of(MEANS)
+    text = texts(tmp_path, "autoware")["sensors_calibration.yaml"]
+    pose = yaml.safe_load(text)["base_link"]["tamagawa/imu_link"]
+    assert pose["x"] == pytest.approx(2.7 - table["mean"]["l_f"] + table["mean"]["imu_lever_arm.x"], rel=1e-14)
+    assert pose["yaw"] == table["mean"]["imu_misalignment.yaw"]
+    assert set(pose) == {"x", "yaw"}
+    std = (samples["imu_lever_arm.x"] - samples["l_f"]).std()
+    assert f"std {rounded(std, std)};" in line_of(text, "x:")
+
+
+def test_a_stated_place_of_the_imu_moves_with_its_lever_arm(tmp_path: Path) -> None:
+    table = run_of(tmp_path, imu_x=1.2)
+    text = texts(tmp_path, "autoware")["sensors_calibration.yaml"]
+    pose = yaml.safe_load(text)["base_link"]["tamagawa/imu_link"]
+    assert pose["x"] == pytest.approx(1.2 + table["mean"]["imu_lever_arm.x"], rel=1e-14)
+
+
+@pytest.mark.parametrize("format", ["autoware", "commonroad", "openpilot"])
+def test_what_was_not_identified_is_a_comment(tmp_path: Path, format: str) -> None:
+    run_of(tmp_path)
+    for name, text in texts(tmp_path, format).items():
+        assert "h_cog: not identified from these recordings" in comments(text), name
+        assert "h_cg:" not in text, name
+
+
+def test_without_one_axle_there_is_no_value_that_needs_both(tmp_path: Path) -> None:
+    run_of(tmp_path, unknown=("h_cog", "delta_C_alpha_r"))
+    assert "cr" not in parameters(texts(tmp_path, "autoware")["mpc.param.yaml"])["vehicle"]
+    assert "tireStiffnessFactor" not in specs(texts(tmp_path, "openpilot")["car_specs.py"])
+    assert yaml.safe_load(texts(tmp_path, "commonroad")["parameters_tire.yaml"])["tire"] == {"p_dy1": 0.9}
+
+
+def test_openpilot_gets_one_factor_that_keeps_the_product_of_the_stiffnesses(tmp_path: Path) -> None:
+    """opendbc's scale_tire_stiffness, run on what was exported, with the cargo that its interface adds."""
+    mean = run_of(tmp_path)["mean"]
+    text = texts(tmp_path, "openpilot")["car_specs.py"]
+    found = specs(text)
+    assert found["mass"] + 136.0 == pytest.approx(1500.0)
+    assert found["wheelbase"] == 2.7
+    assert found["steerRatio"] == pytest.approx(16.0 / mean["steering_ratio.gain"])
+    assert found["centerToFrontRatio"] == pytest.approx(mean["l_f"] / 2.7)
+    share, mass, factor = found["centerToFrontRatio"], found["mass"] + 136.0, found["tireStiffnessFactor"]
+    front = 192150 * factor * mass / 1462 * (1 - share) / 0.6
+    rear = 202500 * factor * mass / 1462 * share / 0.4
+    stiffnesses = [6e4 + 1e5 * mean[f"delta_C_alpha_{axle}"] for axle in "fr"]
+    assert front * rear == pytest.approx(np.prod(stiffnesses), rel=1e-12)
+    assert "ONE stiffness factor for both axles" in comments(text)
+
+
+def test_commonroad_reads_its_folder_and_keeps_the_sum_of_the_stiffnesses(tmp_path: Path) -> None:
+    """vehicle_dynamics_st: an axle has the stiffness mu C_S F_z with C_S = -p_ky1 / p_dy1 and mu = p_dy1."""
+    mean = run_of(tmp_path)["mean"]
+    files = export(tmp_path, "commonroad").files
+    read = setup_vehicle_parameters(vehicle_id=5, dir_params=files[0].parent)  # pyright: ignore[reportArgumentType]
+    assert isinstance(read, VehicleParameters)
+    assert (read.a, read.m, read.h_cg) == (mean["l_f"], 1500.0, None)
+    assert read.b == pytest.approx(2.7 - mean["l_f"])
+    p_ky1, p_dy1 = read.tire.p_ky1, read.tire.p_dy1
+    assert p_ky1 is not None
+    assert p_dy1 is not None
+    total = p_dy1 * (-p_ky1 / p_dy1) * 1500.0 * GRAVITY
+    assert total == pytest.approx(1.2e5 + 1e5 * (mean["delta_C_alpha_f"] + mean["delta_C_alpha_r"]))
+    assert "ONE stiffness coefficient for both axles" in comments(files[1].read_text())
+    assert "STATED, not identified" in line_of(files[0].read_text(), "m:")
+
+
+def test_json_has_all_that_was_identified(tmp_path: Path) -> None:
+    table = run_of(tmp_path)
+    found = json.loads(texts(tmp_path, "json")["parameters.json"])
+    assert set(found["parameters"]) == set(MEANS) - set(UNKNOWN)
+    for name, one in found["parameters"].items():
+        assert one == {key: table[key][name] for key in ("mean", "std", "q05", "q95", "unit")}
+    assert found["not_identified"] == ["h_cog"]
+    assert "h_cog" not in {**found["stated"], **found["constants"]}
+    assert found["constants"]["C_alpha_f"]["unit"] == "N/rad"
+    assert found["constants"]["C_alpha_f"]["std"] == pytest.approx(1e5 * table["std"]["delta_C_alpha_f"])
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_every_file_repeats_the_caveats(tmp_path: Path, format: str) -> None:
+    run_of(tmp_path / "run")
+    diagnosis_of(tmp_path / "diagnosis")
+    said = {
+        "run": [WARNING, "This run did not look for physics that its model lacks."],
+        "diagnosis": [
+            "Missing: body roll (0.95), steering delay (0.80).",
+            "no known effect stands for: 0.62",
+            "NOT accepted: it gains nothing there",
+            "cannot tell which: steering_delay or sensor_delay",
+            "l_f lies on the edge of its prior",
+        ],
+    }
+    for kind, lines in said.items():
+        for text in texts(tmp_path / kind, format).values():
+            whole = text if format == "json" else comments(text)
+            assert [line for line in lines if line not in whole] == []
+
+
+def test_a_diagnosis_gives_its_averaged_parameters_and_the_effects_it_names(tmp_path: Path) -> None:
+    diagnosis_of(tmp_path)
+    mpc = texts(tmp_path, "autoware")["mpc.param.yaml"]
+    found = parameters(mpc)
+    assert found["vehicle"]["cf"] == 1.25e5
+    assert found["input_delay"] == 0.05
+    assert "cr" not in found["vehicle"]
+    assert "vehicle_model_steer_tau" not in found
+    assert "steering_lag.time: not found to be missing (probability 0.10)" in comments(mpc)
+    assert "C_alpha_r: not identified from these recordings" in comments(mpc)
+    assert "body_roll.gradient = 0.0060 ± 0.0010 rad/(m/s^2): identified, no key here takes it" in comments(mpc)
+    everything = json.loads(texts(tmp_path, "json")["parameters.json"])["parameters"]
+    assert set(everything) == {"l_f", "C_alpha_f", "body_roll.gradient", "steering_delay.time"}
+    assert everything["body_roll.gradient"] == numbers(0.006, 0.001, "rad/(m/s^2)") | {"probability": 0.95}
+
+
+def test_a_named_stiffness_level_scales_the_axles(tmp_path: Path) -> None:
+    run_of(tmp_path, MEANS | {"stiffness_level.factor": (0.8, 0.05, "1")})
+    whole = json.loads(texts(tmp_path, "json")["parameters.json"])
+    found = {name: one["mean"] for name, one in whole["parameters"].items()}
+    cf = parameters(texts(tmp_path, "autoware")["mpc.param.yaml"])["vehicle"]["cf"]
+    assert cf == pytest.approx((6e4 + 1e5 * found["delta_C_alpha_f"]) * found["stiffness_level.factor"])
+    assert whole["constants"]["C_alpha_f"]["from"] == ["delta_C_alpha_f", "stiffness_level.factor"]
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_name_cannot_break_out_of_its_comment(tmp_path: Path, format: str) -> None:
+    run_of(tmp_path / "plain")
+    run_of(tmp_path / "hostile", name=HOSTILE)
+    read = {"openpilot": specs, "json": lambda text: json.loads(text)["parameters"]}.get(format, yaml.safe_load)
+    plain, hostile = texts(tmp_path / "plain", format), texts(tmp_path / "hostile", format)
+    assert {name: read(text) for name, text in plain.items()} == {name: read(text) for name, text in hostile.items()}
+
+
+@given(st.text())
+def test_a_comment_is_one_line_that_yaml_reads_as_nothing(text: str) -> None:
+    said = f"# {one_line(text)}"
+    assert len(said.splitlines()) == 1
+    assert yaml.safe_load(said) is None
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_a_number_keeps_every_digit_in_yaml_json_and_python(value: float) -> None:
+    text = number(value)
+    assert yaml.safe_load(text) == json.loads(text) == ast.literal_eval(text) == value
+    assert isinstance(yaml.safe_load(text), float)
+
+
+def test_a_car_whose_file_has_gone_is_exported_without_its_constants(tmp_path: Path) -> None:
+    gone: dict[str, Any] = {"_target_": "vehicle_sbi.physics.vehicle.read", "path": str(tmp_path / "gone.yaml")}
+    run_of(tmp_path, **gone)
+    text = texts(tmp_path, "autoware")["mpc.param.yaml"]
+    assert set(parameters(text)) == {"input_delay"}
+    assert "Constants of the vehicle are not known" in comments(text)
+    assert "delta_C_alpha_f: an offset from a nominal C_alpha_f that is not known" in comments(text)
+
+
+@pytest.mark.parametrize(
+    ("means", "settings", "format", "message"),
+    [
+        (MEANS, {}, "autoware2", "unknown format 'autoware2'; known: autoware, commonroad, json, openpilot"),
+        (MEANS, {"complete": False}, "autoware", "has not finished"),
+        (MEANS, {"unknown": tuple(MEANS)}, "json", "none of its parameters was identified"),
+        ({"h_cog": MEANS["h_cog"]}, {"unknown": ()}, "autoware", "autoware has no key for what was identified"),
+    ],
+)
+def test_what_cannot_be_exported_says_why_and_writes_nothing(
+    tmp_path: Path, means: dict, settings: dict, format: str, message: str
+) -> None:
+    run_of(tmp_path, means, **settings)
+    with pytest.raises(InputError, match=message):
+        export(tmp_path, format)
+    assert not (tmp_path / "export").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "message"),
+    [
+        ("table.csv", None, "neither a run"),
+        ("table.csv", "a,b\n1,2\n", "column parameter, unit"),
+        ("table.csv", "", "not a table"),
+        ("samples.parquet", "nonsense", "not a Parquet file"),
+        ("verdict.json", "nonsense", "not the verdict of a diagnosis"),
+        ("verdict.json", "{}", "not the verdict of a diagnosis"),
+        ("manifest.json", None, "is not a run folder"),
+    ],
+)
+def test_a_damaged_folder_is_one_line(tmp_path: Path, file: str, content: str | None, message: str) -> None:
+    run_of(tmp_path)
+    if content is None:
+        (tmp_path / file).unlink()
+    else:
+        (tmp_path / file).write_text(content)
+    with pytest.raises(InputError, match=message) as caught:
+        export(tmp_path, "autoware")
+    assert "\n" not in str(caught.value)
+
+
+def script(*arguments: str) -> tuple[int, str, str]:
+    environment = {key: value for key, value in os.environ.items() if key != "HYDRA_FULL_ERROR"}
+    done = subprocess.run(
+        [sys.executable, "scripts/export.py", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.slow
+def test_the_script_prints_paths_and_caveats(tmp_path: Path) -> None:
+    run_of(tmp_path / "run")
+    status, out, err = script(f"run={tmp_path}/run", "format=commonroad", f"to={tmp_path}/there")
+    assert status == 0, err
+    assert f"{tmp_path}/there/parameters_tire.yaml" in out
+    assert WARNING in out
+    assert sorted(path.name for path in (tmp_path / "there").iterdir()) == [
+        "parameters_tire.yaml", "parameters_vehicle5.yaml",
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "run"),
+        (("run=nowhere",), "nowhere is not a run folder"),
+        (("run=nowhere", "format=urdf"), "unknown format 'urdf'; known: "),
+    ],
+)
+def test_the_script_refuses_in_one_line(arguments: tuple[str, ...], said: str) -> None:
+    status, out, err = script(*arguments)
+    assert (status, out) == (2, "")
+    assert err.startswith("error: ")
+    assert len(err.splitlines()) == 1
+    assert said in err

@@ -1,0 +1,210 @@
+"""From the folder of a run or a diagnosis to what it knows."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.plausible import PLAUSIBLE
+from vehicle_sbi.inference.prior import KNOWN, flatten
+from vehicle_sbi.mismatch.answer.wording import NAMED
+from vehicle_sbi.physics.vehicle import Vehicle
+from vehicle_sbi.physics.vehicle import read as read_vehicle
+from vehicle_sbi.report.export.exported import Estimate, Exported, Inferred
+from vehicle_sbi.report.run_folder import FinishedRun
+from vehicle_sbi.report.run_folder import read as read_run
+from vehicle_sbi.report.tables import COLUMNS, IDENTIFIED_CONTRACTION
+
+UNCHECKED = (
+    "This run did not look for physics that its model lacks. Its uncertainties hold if nothing is missing; "
+    "scripts/diagnose.py looks."
+)
+ALLOWED_FOR = (
+    "This run drew whatever physics may be missing from the effect prior, and its uncertainties allow for that. It did "
+    "not look for what is missing; scripts/diagnose.py looks."
+)
+INDEPENDENT = "A value made of several parameters takes them as independent: no samples of them together are stored."
+
+
+def read(folder: Path) -> Exported:
+    """What a finished run or diagnosis knows.
+
+    Raises InputError for anything else, and where nothing was identified.
+    """
+    run = read_run(folder)
+    found = _diagnosis(run) if (folder / "verdict.json").exists() else _run(run)
+    if not found.identified:
+        free = ", ".join(found.inferred) or "none"
+        raise InputError(f"{folder}: none of its parameters was identified ({free}), so there is nothing to export")
+    return found
+
+
+def _run(run: FinishedRun) -> Exported:
+    """What the table and the samples of a run tell."""
+    inferred = dict(_rows(_table(run.path / "table.csv")))
+    correlation = _correlation(run.path / "samples.parquet", [*inferred])
+    facts = run.manifest.get("facts", {})
+    checked = ALLOWED_FOR if run.config.get("effects") == PLAUSIBLE else UNCHECKED
+    caveats = [*facts.get("warnings", ()), checked, *([INDEPENDENT] if correlation is None else [])]
+    return _exported(run, "run", inferred, correlation, {}, caveats)
+
+
+def _table(file: Path) -> pd.DataFrame:
+    try:
+        table = pd.read_csv(file)
+    except FileNotFoundError:
+        raise InputError(f"{file.parent}: neither a run (table.csv) nor a diagnosis (verdict.json)") from None
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError):
+        raise InputError(f"{file}: not a table of comma-separated values") from None
+    missing = [column for column in COLUMNS if column not in table]
+    if missing:
+        raise InputError(f"{file}: column {', '.join(missing)} missing; a run's table has {', '.join(COLUMNS)}")
+    return table
+
+
+def _rows(table: pd.DataFrame) -> Iterator[tuple[str, Inferred]]:
+    """Each parameter of a run's table."""
+    for row in table.to_dict("records"):
+        estimate = _estimate(row, str(row["unit"]), f"table.csv: {row['parameter']}")
+        identified = str(row["identified"]).strip().lower() == "true"
+        yield str(row["parameter"]), Inferred(estimate=estimate, identified=identified and _finite(estimate))
+
+
+def _correlation(file: Path, names: list[str]) -> pd.DataFrame | None:
+    """Correlations of a run's samples; None where the file does not hold them."""
+    if not file.exists():
+        return None
+    try:
+        samples = pd.read_parquet(file)
+    except ValueError:  # pyarrow's errors are kinds of it
+        raise InputError(f"{file}: not a Parquet file") from None
+    if not set(names) <= set(samples) or len(samples) < 2:
+        return None
+    correlation = samples[names].corr().fillna(0.0)
+    for name in names:
+        correlation.loc[name, name] = 1.0
+    return correlation
+
+
+def _diagnosis(run: FinishedRun) -> Exported:
+    """What a verdict tells: base parameters with what is missing averaged over, and sizes of the effects it names."""
+    file = run.path / "verdict.json"
+    try:
+        verdict = json.loads(file.read_bytes())
+        boxes = _boxes(run)
+        inferred = {**dict(_base(verdict, boxes)), **dict(_effects(verdict, boxes))}
+        doubted = {name: float(p) for name, p in verdict["effects"].items() if p <= NAMED}
+        caveats = [*_caveats(verdict), INDEPENDENT]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{file}: not the verdict of a diagnosis of this version ({error!r})") from None
+    return _exported(run, "diagnosis", inferred, None, doubted, caveats)
+
+
+def _boxes(run: FinishedRun) -> Mapping[str, tuple[float, float]]:
+    """The bounds of every parameter's prior: those of the extended model, else the configured, else the catalogue's."""
+    file = run.path / "extended.yaml"
+    try:
+        extended = yaml.safe_load(file.read_text(encoding="utf-8")) if file.exists() else {}
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise InputError(f"{file}: not YAML") from None
+    stated = {**flatten(run.config.get("prior") or {}), **flatten(extended.get("prior") or {})}
+    boxes = {name: (p.low, p.high) for name, p in KNOWN.items()}
+    return boxes | {name: (float(low), float(high)) for name, (low, high) in stated.items()}
+
+
+def _base(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]]) -> Iterator[tuple[str, Inferred]]:
+    for name, one in verdict["base_parameters"].items():
+        estimate = _estimate(one["after"], one["unit"], f"verdict.json: {name}")
+        yield name, Inferred(estimate=estimate, identified=_narrower(estimate, boxes.get(name)))
+
+
+def _effects(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]]) -> Iterator[tuple[str, Inferred]]:
+    """Parameters of each effect that is named, from the likeliest set that has it."""
+    likeliest = {name: e for one in reversed(verdict["explanations"]) for name, e in one["parameters"].items()}
+    for name, e in likeliest.items():
+        probability = verdict["effects"].get(name.split(".")[0], 0.0)
+        if probability > NAMED:
+            estimate = _estimate(e, e["unit"], f"verdict.json: {name}")
+            identified = _narrower(estimate, boxes.get(name))
+            yield name, Inferred(estimate=estimate, identified=identified, probability=probability)
+
+
+def _narrower(estimate: Estimate, box: tuple[float, float] | None) -> bool:
+    """Whether a posterior is narrower than its uniform prior by what counts as identified in a run's table."""
+    if not _finite(estimate):
+        return False
+    return box is None or 1.0 - 12.0 * (estimate.std / (box[1] - box[0])) ** 2 >= IDENTIFIED_CONTRACTION
+
+
+def _caveats(verdict: Mapping[str, Any]) -> Iterator[str]:
+    """What the diagnosis says of its own numbers."""
+    yield f"Diagnosis: {verdict['headline']}"
+    yield f"Probability that something is missing which no known effect stands for: {verdict['p_unknown']:.2f}."
+    fit = verdict["fit"]
+    if "accepted" in fit:
+        said = "accepted" if fit["accepted"] else "NOT accepted"
+        yield f"On held-out data the extended model is {said}: {fit['accepted_because']}."
+    for group in verdict["indistinguishable"]:
+        yield f"These recordings cannot tell which: {' or '.join(group)}."
+    for stuck in (verdict["unknown"] or {}).get("beyond_prior", ()):
+        yield f"At the bounds of its prior: {', '.join(stuck['parameters'])}."
+    yield from verdict["warnings"]
+
+
+def _estimate(numbers: Mapping[Any, Any], unit: str, where: str) -> Estimate:
+    try:
+        mean, std, q05, q95 = (float(numbers[key]) for key in ("mean", "std", "q05", "q95"))
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: mean, std, q05 and q95 must be numbers") from None
+    return Estimate(mean=mean, std=std, q05=q05, q95=q95, unit=unit)
+
+
+def _finite(estimate: Estimate) -> bool:
+    return all(math.isfinite(number) for number in (estimate.mean, estimate.std, estimate.q05, estimate.q95))
+
+
+def _exported(
+    run: FinishedRun,
+    kind: str,
+    inferred: Mapping[str, Inferred],
+    correlation: pd.DataFrame | None,
+    doubted: Mapping[str, float],
+    caveats: list[str],
+) -> Exported:
+    vehicle, unread = _vehicle(run.config.get("vehicle") or {})
+    constants = {} if vehicle is None else {k: float(v) for k, v in vehicle.constants().items() if math.isfinite(v)}
+    freed = {field for name in inferred if name in KNOWN for field in KNOWN[name].fields}
+    return Exported(
+        folder=run.path,
+        kind=kind,
+        vehicle="unknown" if vehicle is None else str(vehicle.name),
+        version=str(run.manifest.get("version")),
+        inferred=inferred,
+        stated={name: value for name, value in constants.items() if name not in freed},
+        nominal=constants,
+        correlation=correlation,
+        doubted=doubted,
+        caveats=(*caveats, *unread),
+    )
+
+
+def _vehicle(config: Mapping[str, Any]) -> tuple[Vehicle | None, tuple[str, ...]]:
+    """The vehicle of a configuration, and why its constants are not known where its file has gone."""
+    if "path" in config:
+        try:
+            return read_vehicle(str(config["path"])), ()
+        except InputError as error:
+            return None, (f"Constants of the vehicle are not known: {error}.",)
+    known = {field.name for field in fields(Vehicle)}
+    try:
+        return Vehicle(**{name: value for name, value in config.items() if name in known}), ()
+    except (TypeError, InputError) as error:
+        return None, (f"Constants of the vehicle are not known: {error}.",)
