@@ -20,8 +20,9 @@ from vehicle_sbi.physics.sensors import GROUPS
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.physics.size import size_of
 
-STEPS = (0.05, 0.3, 0.6)  # of a parameter's prior width, for differences from its null; the first one that changes
-# anything is taken: enough for a lag to outlast a sample, and grip shows only once it is used up
+STEPS = (0.05, 0.3, 0.6)  # of a parameter's prior width, for differences from its null; the first one from which the
+# change is about in proportion is taken: enough for a lag to outlast a sample, and for grip to be used up
+STEEPER = 3.0  # times as steep as at a step the change may be at a longer one, for the step to be long enough
 MOST = 0.9  # of the way to the prior's farther bound, at most
 SHAPES = 3  # values at which a parameter of shape is held
 SPAN = ("start", "duration")
@@ -35,13 +36,18 @@ LENGTHS = (1, 2, 4, 8)  # tiles that something may last, begun at every half of 
 class Direction:
     """A parameter along which an effect leaves its null, with the effect's other parameters held where it can act.
 
-    `step` is the part of its prior's width that it takes for anything to change.
+    `step` is the part of its prior's width that it takes for the change to be about in proportion.
     """
 
     effect: str
     parameter: Parameter
     held: dict[Parameter, float]
     step: float = STEPS[0]
+
+    @property
+    def asleep(self) -> bool:
+        """Whether it changes next to nothing near its null."""
+        return self.step > STEPS[0]
 
     @property
     def away(self) -> float:
@@ -152,7 +158,18 @@ def directions(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Eff
     the effect vanish whatever the shape is the direction.
     """
     effect = within(simulator, effect)
-    return next((found for step in STEPS if (found := _stepping(simulator, theta, effect, step))), [])
+    found = next((found for step in STEPS if (found := _stepping(simulator, theta, effect, step))), [])
+    return _in_proportion(simulator, theta, found) if found else []
+
+
+def _in_proportion(simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[Direction]) -> list[Direction]:
+    """Directions with steps beyond which the change grows little faster than the step."""
+    steps = [step for step in STEPS if step >= found[0].step]
+    longer = [replace(d, step=step) for d in found for step in steps]
+    change = np.linalg.norm(np.nan_to_num(slopes(simulator, theta, longer)), axis=2)  # of each channel
+    steepest = change.reshape(len(found), len(steps), -1)
+    enough = np.all(STEEPER * steepest >= steepest.max(axis=1, keepdims=True), axis=2)
+    return [replace(d, step=steps[int(np.argmax(row))]) for d, row in zip(found, enough, strict=True)]
 
 
 def _stepping(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effect, step: float) -> list[Direction]:

@@ -197,11 +197,13 @@ def _law(one: Remainder, effects: tuple[str, ...]) -> Followed:
 
 def _over_time(fit: Fit, one: Remainder) -> Latent:
     """A load or error in each stretch of time, on average."""
-    t, spans = clock(fit.simulator), stretches(fit.simulator)
-    size = [float(one.course[(t >= start) & (t <= stop)].mean()) for start, stop in spans]
-    within = own_time(fit.simulator, *spans[int(np.argmax(np.abs(size)))])
+    t = clock(fit.simulator)
+    within = {span: (t >= span[0]) & (t <= span[1]) for span in stretches(fit.simulator)}
+    spans = [span for span, inside in within.items() if inside.any()]
+    size = [float(one.course[within[span]].mean()) for span in spans]
+    most = own_time(fit.simulator, *spans[int(np.argmax(np.abs(size)))])
     starts, stops = zip(*spans, strict=True)
-    return Latent(one.target.name, one.target.size.unit, [*starts], [*stops], size, 0.5 * one.shown**2, within)
+    return Latent(one.target.name, one.target.size.unit, [*starts], [*stops], size, 0.5 * one.shown**2, most)
 
 
 def _outgrown(pruned: Pruned, effects: tuple[str, ...]) -> list[Outgrown]:

@@ -106,8 +106,8 @@ def _left(unknown: Unknown | None) -> str:
     law, over = unknown.laws[0], unknown.over_time
     follows = f", which follows {law.signal}" if law.share >= FOLLOWS else ""
     size = quantity("", law.size).removeprefix(" = ")
-    most = f"most {spoken(over.within)}" if over.within else ""
-    return " ".join([f"Left over: {law.target} of {size} (root mean square){follows}, {most}.", *_at_bounds(unknown)])
+    most = f", most {spoken(over.within)}" if over.within else ""
+    return " ".join([f"Left over: {law.target} of {size} (root mean square){follows}{most}.", *_at_bounds(unknown)])
 
 
 def _at_bounds(unknown: Unknown | None) -> list[str]:

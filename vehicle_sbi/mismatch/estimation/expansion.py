@@ -126,6 +126,18 @@ class Expansion:
         fit = with_own_noise(fit, NOISE_ROUNDS, NOISE_STEPS, secant=True)
         return relinearised(fit, fit.theta)
 
+    def likeliest(
+        self, observation: Observation, starts: Sequence[Float[np.ndarray, " d"]], rms: Float[np.ndarray, " sizes"]
+    ) -> Fit | None:
+        """The likeliest of the fits from several starts, shrinkage included; None where the simulation fails."""
+        fits = [fit for start in starts if (fit := self.fitted(observation, start, rms)) is not None]
+        return max(fits, key=_log_posterior, default=None)
+
+
+def _log_posterior(fit: Fit) -> float:
+    pulled = 0.0 if fit.shrinkage is None else fit.shrinkage.cost(fit.theta[None], fit.simulator.space.prior_std)[0]
+    return fit.log_likelihood - float(pulled)
+
 
 def _substeps(fit: Fit) -> int:
     """Of the integrator, for stiffnesses a little above those that were fitted."""

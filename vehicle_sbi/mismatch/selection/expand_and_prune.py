@@ -13,11 +13,11 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from vehicle_sbi.inference.directions import Direction
+from vehicle_sbi.inference.directions import Direction, middle
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
-from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.fit import SHARES, Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order
 from vehicle_sbi.mismatch.hypotheses.discrepancy import (
     Discrepancy,
@@ -33,8 +33,8 @@ from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Sha
 from vehicle_sbi.parameters import Parameter
 
 LEAST_RMS = 0.02  # typical sizes, within which an effect that is out is held
+NOTHING = 0.03  # of the smallest amplitude of a discrepancy, which stands for none; less costs the sampler its digits
 AMPLITUDES = np.geomspace(0.03, 3.0, 5)  # of discrepancies, in units of the scale that is believed of them
-NOTHING = 0.1  # of the smallest of them, which stands for none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +116,16 @@ class _Round:
         start = np.concatenate([base.theta, expansion.rest[len(base.theta) :]])
         return cls(expansion, start, np.full(len(expansion.sizes), WIDER), expansion.observed(base))
 
+    def first_fit(self, sleeping: Sequence[Parameter]) -> Fit | None:
+        """From sizes at their nulls, and with those that change nothing near it halfway into their boxes."""
+        awake = {p.name: middle(p) for p in sleeping}
+        names = self.expansion.space.names
+        woken = np.array([awake.get(name, x) for name, x in zip(names, self.start, strict=True)])
+        return self.expansion.likeliest(self.observation, [self.start, *([woken] if awake else [])], self.rms)
+
+    def fitted(self) -> Fit | None:
+        return self.expansion.fitted(self.observation, self.start, self.rms, near=True)
+
     def widened(self, expansion: Expansion) -> "_Round":
         """With more that is free, at its null."""
         start = _by_name(self.expansion.space.parameters, self.start, expansion.space.parameters, expansion.rest)
@@ -137,9 +147,10 @@ def expand_and_prune(
     None where the expanded model cannot be simulated.
     """
     now, found = _Round.first(base, Expansion.of(base.simulator.space, known, prior)), list[Pruned]()
+    sleeping = [d.parameter for d in known if d.asleep and not d.clocked]
     shared, tried = Shared(spikes=(prior.negligible,)), list[list[Response]]()
     for k in range(budget.rounds):
-        fit = now.expansion.fitted(now.observation, now.start, now.rms, near=k > 0)
+        fit = now.fitted() if k > 0 else now.first_fit(sleeping)
         if fit is None:
             break
         fit = replace(fit, observation=replace(fit.observation, observed=base.observation.observed))
@@ -231,7 +242,15 @@ def _again(now: _Round, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -
         series += np.tensordot(mean[first : first + len(one.series)], one.series, axes=1)
         first += len(one.series)
     observed = np.where(fit.simulator.windows.valid, fit.observation.observed - series, 0.0)
-    return _Round(expansion, _theta(expansion, mean[None])[0], rms, replace(fit.observation, observed=observed))
+    start = _simulated(fit, _theta(expansion, mean[None])[0])
+    return _Round(expansion, start, rms, replace(fit.observation, observed=observed))
+
+
+def _simulated(fit: Fit, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+    """As far on the way from a fit to theta as the car can be simulated: at first order it does not spin."""
+    points = fit.theta + np.array([*SHARES, 0.0])[:, None] * (theta - fit.theta)
+    y = fit.simulator.noise_free(points)[:, fit.simulator.windows.valid]
+    return points[int(np.argmax(np.isfinite(y).all(axis=1)))]
 
 
 def _pooled(found: Sequence[Pruned]) -> Pruned:

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit
 
-REFRESHED = 10  # sweeps after which S is factorised anew, against rounding
+REFRESHED = 5  # sweeps after which S is factorised anew, against rounding
 LEAST = 1e-9  # part of its precision that a direction keeps, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
 SWAPS = 6  # of two groups' states, tried in a sweep
