@@ -5,13 +5,16 @@ light grey the prior or what is left out.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import seaborn
 from jaxtyping import Bool, Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -41,14 +44,29 @@ STYLE: dict[Any, Any] = {
 }
 DPI = 150
 Span = tuple[float, float]  # limits of an axis
+Shown = tuple[Parameter, Span, float]  # a parameter, the limits of its axis, its truth (NaN where it is not known)
 KDE_SAMPLES = 1000  # a density on a screen needs no more, and its cost grows with them
 PRIOR_EDGE: dict[str, Any] = {"color": "#999999", "linewidth": 0.9, "linestyle": "--"}
 NO_ANSWER = "#b5b5b5"
+LOSSES = {"training": MEASURED, "validation": POSTERIOR}
 MASSES = (0.95, 0.8, 0.6, 0.4, 0.2)  # shares of the posterior inside the filled contours
 _BLUES = LinearSegmentedColormap.from_list("posterior", ("#dbe9f5", POSTERIOR, "#123a5c"))
 
 
+@contextmanager
+def _style() -> Iterator[None]:
+    """The look of all pictures, of seaborn's too, for as long as one is drawn; what pyplot opens is closed again."""
+    opened = {*plt.get_fignums()}
+    with matplotlib.rc_context(STYLE):
+        try:
+            yield
+        finally:
+            for number in {*plt.get_fignums()} - opened:
+                plt.close(number)
+
+
 def save(figure: Figure, path: Path, legend: Sequence[Artist], *, columns: int = 4) -> None:
+    figure.set_layout_engine("constrained")
     figure.legend(handles=list(legend), loc="outside upper center", ncols=columns)
     write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None}))
 
@@ -70,25 +88,17 @@ def pairplot(
     """
     d = len(space)
     truth = np.full(d, np.nan) if true is None else np.asarray(true, dtype=float)
-    correlation = np.atleast_2d(np.corrcoef(samples, rowvar=False))
-    thinned = samples[:: max(1, len(samples) // KDE_SAMPLES)]
+    thinned = pd.DataFrame(samples[:: max(1, len(samples) // KDE_SAMPLES)], columns=list(space.names))
     spans = [_span(*column) for column in zip(samples.T, space.low, space.high, truth, strict=True)]
-    with matplotlib.rc_context(STYLE):
-        size = max(1.5 * d + 0.6, 4.0)
-        figure = Figure(figsize=(size, size), layout="constrained")
-        axes = figure.subplots(d, d, squeeze=False)
+    at = dict(zip(space.names, zip(space.parameters, spans, truth, strict=True), strict=True))
+    with _style():
+        grid = seaborn.PairGrid(thinned, diag_sharey=False, height=max(1.5, 4.0 / d), despine=False)
+        grid.map_diag(_marginal, at=at)
+        grid.map_lower(_joint, at=at)
+        grid.map_upper(_correlation, of=np.atleast_2d(np.corrcoef(samples, rowvar=False)), names=space.names)
         for row, column in product(range(d), repeat=2):
-            axis = axes[row, column]
-            if row == column:
-                _marginal(axis, thinned[:, row], space.parameters[row], spans[row], truth[row])
-            elif row > column:
-                pair = [column, row]
-                _joint(axis, thinned[:, pair], [space.parameters[k] for k in pair], [spans[k] for k in pair])
-                axis.plot(*truth[pair], "o", color=TRUTH, markersize=4.5, markeredgecolor="white", markeredgewidth=0.6)
-            else:
-                _correlation(axis, correlation[row, column])
-            _label(axis, space, row, column)
-        figure.align_labels()
+            _label(grid.axes[row, column], space, row, column)
+        grid.figure.align_labels()
         zoomed = any(a > p.low or b < p.high for (a, b), p in zip(spans, space.parameters, strict=True))
         keys = [
             Patch(color=POSTERIOR, alpha=0.5, label="posterior"),
@@ -96,7 +106,7 @@ def pairplot(
             key("prior", **PRIOR_EDGE),
             *([Patch(color=POSTERIOR, label="part of the prior shown")] if zoomed else []),
         ]
-        save(figure, path, keys, columns=len(keys) if d > 4 else 2)
+        save(grid.figure, path, keys, columns=len(keys) if d > 4 else 2)
 
 
 def _span(x: Float[np.ndarray, " n"], low: float, high: float, true: float) -> Span:
@@ -110,44 +120,52 @@ def _span(x: Float[np.ndarray, " n"], low: float, high: float, true: float) -> S
     return max(middle - half, low - 0.15 * half), min(middle + half, high + 0.15 * half)
 
 
-def _marginal(axis: Axes, x: Float[np.ndarray, " n"], p: Parameter, span: Span, true: float) -> None:
-    grid = np.linspace(max(span[0], p.low), min(span[1], p.high), 200)
-    density = density_in_box(x[:, None], grid[:, None], np.array([p.low]), np.array([p.high]))
-    axis.fill_between(grid, density, color=POSTERIOR, alpha=0.25, linewidth=0)
-    axis.plot(grid, density, color=POSTERIOR, linewidth=1.4)
+def _marginal(x: pd.Series, *, at: Mapping[str, Shown], **_: object) -> None:
+    """A histogram, which unlike a kernel density does not fall off towards the bounds of the prior."""
+    axis, (p, span, true) = plt.gca(), at[str(x.name)]
+    seaborn.histplot(x=x, stat="density", element="step", binrange=_seen(p, span), color=POSTERIOR, alpha=0.3, ax=axis)
     level = 1.0 / (p.high - p.low)
     axis.plot([p.low, p.low, p.high, p.high], [0.0, level, level, 0.0], **PRIOR_EDGE)
     if np.isfinite(true):
         axis.axvline(true, color=TRUTH, linewidth=1.4)
-    axis.set(xlim=span, ylim=(0.0, 1.25 * max(density.max(), level)), yticks=[])
-    axis.spines["left"].set_visible(False)
+    axis.set(xlim=span, ylim=(0.0, 1.25 * max(axis.dataLim.ymax, level)))
     if span[0] > p.low or span[1] < p.high:
         _place_in_prior(axis, p, span)
+
+
+def _seen(p: Parameter, span: Span) -> Span:
+    """The part of the prior that an axis shows."""
+    return max(span[0], p.low), min(span[1], p.high)
 
 
 def _place_in_prior(axis: Axes, p: Parameter, span: Span) -> None:
     """A strip at the top of a zoomed panel: the prior's range in grey, the part of it that the panel shows in blue."""
     strip = axis.inset_axes((0.0, 0.94, 1.0, 0.06), zorder=3)
     strip.axvspan(p.low, p.high, color=PRIOR, linewidth=0)
-    strip.axvspan(max(span[0], p.low), min(span[1], p.high), color=POSTERIOR, linewidth=0)
+    strip.axvspan(*_seen(p, span), color=POSTERIOR, linewidth=0)
     strip.set_xlim(p.low, p.high)
     strip.set_axis_off()
 
 
-def _joint(axis: Axes, xy: Float[np.ndarray, "n 2"], pair: Sequence[Parameter], spans: Sequence[Span]) -> None:
-    low, high = np.array([p.low for p in pair]), np.array([p.high for p in pair])
-    x, y = (np.linspace(max(a, p.low), min(b, p.high), 60) for (a, b), p in zip(spans, pair, strict=True))
-    points = np.stack(np.meshgrid(x, y), axis=-1)
-    density = density_in_box(xy, points.reshape(-1, 2), low, high).reshape(len(y), len(x))
+def _joint(x: pd.Series, y: pd.Series, *, at: Mapping[str, Shown], **_: object) -> None:
+    """Filled contours of a kernel density that keeps its mass inside the prior, which seaborn's does not."""
+    axis, pair = plt.gca(), [at[str(one.name)] for one in (x, y)]
+    low, high = np.array([p.low for p, *_ in pair]), np.array([p.high for p, *_ in pair])
+    across, up = (np.linspace(*_seen(p, span), 60) for p, span, _ in pair)
+    points = np.stack(np.meshgrid(across, up), axis=-1)
+    density = density_in_box(np.column_stack([x, y]), points.reshape(-1, 2), low, high).reshape(len(up), len(across))
     levels = np.unique([*(level_of(density, mass) for mass in MASSES), 1.001 * density.max()])
-    axis.contourf(x, y, density, levels=levels, cmap=_BLUES)
+    axis.contourf(across, up, density, levels=levels, cmap=_BLUES)
     for left, lower in (low, high):
         axis.axvline(left, **PRIOR_EDGE)
         axis.axhline(lower, **PRIOR_EDGE)
-    axis.set(xlim=spans[0], ylim=spans[1])
+    true = [[value] for *_, value in pair]
+    axis.plot(*true, "o", color=TRUTH, markersize=4.5, markeredgecolor="white", markeredgewidth=0.6)
+    axis.set(xlim=pair[0][1], ylim=pair[1][1])
 
 
-def _correlation(axis: Axes, value: float) -> None:
+def _correlation(x: pd.Series, y: pd.Series, *, of: np.ndarray, names: Sequence[str], **_: object) -> None:
+    axis, value = plt.gca(), of[names.index(str(x.name)), names.index(str(y.name))]
     axis.text(
         0.5, 0.5, minus(f"{round(value, 2) + 0.0:.2f}"),
         transform=axis.transAxes, ha="center", va="center", fontsize=8.0 + 5.0 * abs(value), color=MEASURED,
@@ -164,7 +182,8 @@ def _label(axis: Axes, space: ParameterSpace, row: int, column: int) -> None:
     names = [_name_with_unit(p) for p in space.parameters]
     last, first = row == len(space) - 1, column == 0 and row > 0
     axis.set(xlabel=names[column] if last else "", ylabel=names[row] if first else "")
-    axis.tick_params(labelbottom=last, labelleft=first)
+    axis.tick_params(labelbottom=last, labelleft=first, left=row != column)
+    axis.spines["left"].set_visible(row != column)
 
 
 def _tick(value: float, position: int | None = None) -> str:
@@ -254,75 +273,88 @@ def losses(history: Sequence[Sequence[Mapping[str, Sequence[float]]]], path: Pat
     `history` holds per round and member sbi's summary (`training_loss`, `validation_loss`); a ring marks the epoch
     whose network was kept. Losses of different rounds are not comparable, so each panel has its own scale.
     """
+    each = [_loss_curves(k, m, one) for k, round in enumerate(history, 1) for m, one in enumerate(round)]
+    curves = pd.concat(each, ignore_index=True)
     columns = min(len(history), 5)
-    rows = -(-len(history) // columns)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(max(2.3 * columns, 4.5), 2.2 * rows + 0.6), layout="constrained")
-        axes = figure.subplots(rows, columns, squeeze=False).ravel()
-        for number, (axis, members) in enumerate(zip(axes, history, strict=False), start=1):
-            for member in members:
-                _loss_curves(axis, member)
-            axis.set_title(f"round {number}", loc="left")
-            axis.set_xlabel("epoch")
+    with _style():
+        grid = seaborn.relplot(
+            curves, x="epoch", y="loss", hue="loss of", units="member", estimator=None, col="round", kind="line",
+            col_wrap=columns, height=2.6, aspect=max(2.3, 4.5 / columns) / 2.6, palette=LOSSES, linewidth=1.2,
+            facet_kws={"sharex": False, "sharey": False}, legend=False,
+        )  # fmt: skip
+        grid.map_dataframe(_mark_kept)
+        grid.set_titles("").set_titles("round {col_name}", loc="left")
+        for axis in grid.axes.flat:
             axis.xaxis.set_major_locator(MaxNLocator(4, integer=True))
-        for axis in axes[::columns]:
-            axis.set_ylabel("loss")
-        for axis in axes[len(history) :]:
-            axis.set_axis_off()
-        keys = [
-            key("training", MEASURED, linewidth=1.0),
-            key("validation", POSTERIOR),
-            key("kept", POSTERIOR, marker="o", linestyle="", markerfacecolor="white"),
-        ]
-        save(figure, path, keys)
+        kept = key("kept", POSTERIOR, marker="o", linestyle="", markerfacecolor="white")
+        save(grid.figure, path, [*(key(name, color) for name, color in LOSSES.items()), kept])
 
 
-def _loss_curves(axis: Axes, member: Mapping[str, Sequence[float]]) -> None:
-    validation = np.asarray(member["validation_loss"], dtype=float)
-    training = np.asarray(member["training_loss"], dtype=float)
-    axis.plot(np.arange(1, len(training) + 1), training, color=MEASURED, linewidth=0.9, alpha=0.8)
-    axis.plot(np.arange(1, len(validation) + 1), validation, color=POSTERIOR, linewidth=1.3)
-    if np.isfinite(validation).any():
-        best = int(np.nanargmin(validation))
-        axis.plot(best + 1, validation[best], "o", color=POSTERIOR, markerfacecolor="white", markersize=5.0)
+def _loss_curves(number: int, member: int, summary: Mapping[str, Sequence[float]]) -> pd.DataFrame:
+    """Both losses of a member of the ensemble, a row an epoch."""
+    parts = []
+    for name in LOSSES:
+        loss = np.asarray(summary[f"{name}_loss"], dtype=float)
+        parts.append(pd.DataFrame({"epoch": np.arange(1, len(loss) + 1), "loss": loss, "loss of": name}))
+    return pd.concat(parts).assign(round=number, member=member)
+
+
+def _mark_kept(data: pd.DataFrame, **_: object) -> None:
+    """A ring at the epoch whose network was kept."""
+    for _member, one in data[data["loss of"] == "validation"].dropna(subset="loss").groupby("member"):
+        best = one.loc[one["loss"] == one["loss"].min()].iloc[:1]
+        plt.gca().plot(best["epoch"], best["loss"], "o", color=POSTERIOR, markerfacecolor="white", markersize=5.0)
 
 
 def contraction_bars(table: pd.DataFrame, path: Path) -> None:
-    """Posterior standard deviation of each parameter between its bound and its prior, all in units of the prior's.
+    """Posterior standard deviation of each parameter beside its bound and its prior, all in units of the prior's.
 
     `table` as of `posterior_table`. A parameter that is not identified is grey.
     """
-    prior = (table["prior_high"] - table["prior_low"]) / np.sqrt(12.0)
-    share = (table["std"] / prior).to_numpy()
-    bound = (table["bound_std"] / prior).to_numpy()
-    known = table["identified"].to_numpy(dtype=bool)
-    at = np.arange(len(table))[::-1]
-    smallest = np.nanmin(np.concatenate([share[share > 0.0], bound[bound > 0.0], [0.5]]))
-    start = 10.0 ** np.floor(np.log10(0.8 * smallest))
-    with matplotlib.rc_context(STYLE):
+    prior = (table["prior_high"] - table["prior_low"]).to_numpy() / np.sqrt(12.0)
+    share, bound = (table[name].to_numpy() / prior for name in ("std", "bound_std"))
+    shares = pd.DataFrame(
+        {
+            "parameter": [symbol(name) for name in table["parameter"]],
+            "posterior": share,
+            "bound": np.where(bound < 1.0, bound, np.nan),
+            "identified": table["identified"].astype(bool),
+        }
+    )
+    with _style():
         figure = Figure(figsize=(8.0, 0.42 * len(table) + 1.3), layout="constrained")
         axis = figure.subplots()
-        axis.set_xscale("log")
-        colors = np.where(known, POSTERIOR, NO_ANSWER)
-        axis.barh(at, np.maximum(share - start, 0.0), left=start, height=0.5, color=colors)
-        shown = np.isfinite(bound) & (bound < 1.0)
-        axis.vlines(bound[shown], at[shown] - 0.36, at[shown] + 0.36, color=BOUND, linewidth=3.0)
+        look: dict[str, Any] = {
+            "data": shares,
+            "y": "parameter",
+            "orient": "y",
+            "linestyle": "none",
+            "errorbar": None,
+            "ax": axis,
+        }
+        seaborn.pointplot(
+            x="posterior", hue="identified", palette={True: POSTERIOR, False: NO_ANSWER}, legend=False, **look
+        )
+        if shares["bound"].notna().any():
+            seaborn.pointplot(x="bound", color=BOUND, marker="|", markersize=14.0, markeredgewidth=3.0, **look)
         axis.axvline(1.0, **PRIOR_EDGE)
-        axis.set_xlim(start, max(1.3, 1.1 * share.max()))
+        axis.set(xscale="log", ylabel="", xlabel="standard deviation / prior's standard deviation")
+        least = np.nanmin(np.concatenate([share[share > 0.0], bound[bound > 0.0], [0.5]]))
+        axis.set_xlim(0.7 * least, max(1.3, 1.1 * share.max()))
         axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.xaxis.set_major_formatter(FuncFormatter(_tick))
         axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.set_yticks(at, [symbol(name) for name in table["parameter"]], fontsize=9.0)
-        axis.tick_params(axis="y", length=0)
+        axis.yaxis.grid(True, color="#e6e6e6")
+        axis.tick_params(axis="y", length=0, labelsize=9.0)
         axis.spines["left"].set_visible(False)
-        axis.set_xlabel("standard deviation / prior's standard deviation")
-        for height, text in zip(at, _remarks(table), strict=True):
+        for height, text in enumerate(_remarks(table)):
             axis.annotate(text, (1.02, height), xycoords=("axes fraction", "data"), va="center", fontsize=8.5)
+        point: dict[str, Any] = {"marker": "o", "linestyle": ""}
         keys = [
-            Patch(color=POSTERIOR, label="posterior"),
+            key("posterior", POSTERIOR, **point),
             key("Cramér-Rao bound", BOUND, linewidth=3.0),
             key("prior", **PRIOR_EDGE),
-            *([] if known.all() else [Patch(color=NO_ANSWER, label="not identified")]),
+            *([] if shares["identified"].all() else [key("not identified", NO_ANSWER, **point)]),
         ]
         save(figure, path, keys)
 

@@ -2,18 +2,23 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
+import pandas as pd
+import seaborn
+from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from vehicle_sbi.data.channels import CHANNELS
+from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.mismatch.answer.schema import Verdict
 from vehicle_sbi.mismatch.answer.verdict import Found
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.selection.predictive import Prediction
-from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.report.figures import MEASURED, POSTERIOR, PRIOR, STYLE, TRUTH, key, save
 from vehicle_sbi.report.tables import symbol, unit_symbol
@@ -28,15 +33,16 @@ def residuals(found: Found, answer: Verdict, path: Path) -> None:
     windows = base.simulator.windows
     alone = len(set(windows.recordings)) == 1
     t = (windows.t if alone else windows.u[..., INPUTS.index("time")]).reshape(-1)
+    fits = {TRUTH: base} | ({POSTERIOR: model.fit} if model.effects else {})
+    left = {color: np.where(windows.valid, fit.unexplained, np.nan) for color, fit in fits.items()}
+    slow = {color: smooth(rest, windows) for color, rest in left.items()}
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 1.7 * len(windows.channels) + 0.8), layout="constrained")
         axes = figure.subplots(len(windows.channels), 1, sharex=True, squeeze=False)[:, 0]
         for i, (axis, name) in enumerate(zip(axes, windows.channels, strict=True)):
-            fits = {TRUTH: base} | ({POSTERIOR: model.fit} if model.effects else {})
-            for color, fit in fits.items():
-                rest = np.where(windows.valid[i], fit.unexplained[i], np.nan)
-                axis.plot(t, rest, color=color, linewidth=0.5, alpha=0.35)
-                axis.plot(t, _smooth(rest, windows.rate), color=color, linewidth=1.3)
+            for color, rest in left.items():
+                axis.plot(t, rest[i], color=color, linewidth=0.5, alpha=0.35)
+                axis.plot(t, slow[color][i], color=color, linewidth=1.3)
             for place in answer.mismatch:
                 if place.channel == name and not place.regime:
                     for one in place.within if alone else [place]:
@@ -48,49 +54,52 @@ def residuals(found: Found, answer: Verdict, path: Path) -> None:
         save(figure, path, [*keys, Patch(color=PRIOR, label="more than noise")])
 
 
-def _smooth(values: np.ndarray, rate: float) -> np.ndarray:
-    """Running mean over a quarter of a second of what is there."""
-    kernel = np.ones(max(1, round(0.25 * rate)))
-    known = np.isfinite(values)
-    count = np.convolve(known, kernel, mode="same")
-    with np.errstate(invalid="ignore"):
-        mean = np.convolve(np.where(known, values, 0.0), kernel, mode="same") / count
-    return np.where(known, mean, np.nan)
+def smooth(values: Float[np.ndarray, "channels time"], windows: Windows) -> Float[np.ndarray, "channels time"]:
+    """Running mean over a quarter of a second of what was measured; NaN where nothing was."""
+    kernel = np.ones(max(1, round(0.25 * windows.rate)))
+    sums = [np.convolve(row, kernel, mode="same") for row in np.where(windows.valid, values, 0.0)]
+    counts = [np.convolve(known, kernel, mode="same") for known in windows.valid]
+    return np.where(windows.valid, np.array(sums) / np.maximum(counts, 1.0), np.nan)
 
 
 def probabilities(answer: Verdict, path: Path) -> None:
     """A bar for each effect that is at all likely, and one for none."""
     bars = [(name.replace("_", " "), p) for name, p in answer.effects.items() if p >= LEAST][:MOST_BARS]
-    bars = [*bars, ("nothing at all", answer.p_none)]
+    names, likely = zip(*bars, ("nothing at all", answer.p_none), strict=True)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(8.0, 0.32 * len(bars) + 0.9), layout="constrained")
+        figure = Figure(figsize=(8.0, 0.32 * len(names) + 0.9), layout="constrained")
         axis = figure.subplots()
-        names, likely = zip(*reversed(bars), strict=True)
-        axis.barh(range(len(bars)), likely, color=POSTERIOR, height=0.65)
-        axis.set_yticks(range(len(bars)), names)
-        for i, value in enumerate(likely):
-            axis.text(value + 0.01, i, f"{value:.2f}", va="center", fontsize=8)
+        seaborn.barplot(x=likely, y=names, color=POSTERIOR, saturation=1.0, width=0.65, ax=axis)
+        axis.bar_label(axis.containers[0], fmt="%.2f", padding=3, fontsize=8)  # pyright: ignore[reportArgumentType]
         axis.axvline(0.5, color="#999999", linewidth=0.6)
-        axis.set_xlim(0.0, 1.1)
-        axis.set_xlabel("probability")
+        axis.set(xlim=(0.0, 1.1), xlabel="probability")
         save(figure, path, [])
 
 
 def shifts(answer: Verdict, space: ParameterSpace, path: Path) -> None:
     """Each base parameter in its prior's box, before and after, with 90 % intervals."""
-    names = list(answer.base_parameters)
+    places = pd.concat([_place(p, answer.base_parameters[p.name]) for p in space.parameters], ignore_index=True)
+    look: dict[str, Any] = {"markersize": 4, "linewidth": 1.6, "capsize": 0.12, "dodge": 0.3, "linestyle": "none"}
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(8.0, 0.42 * len(names) + 0.9), layout="constrained")
+        figure = Figure(figsize=(8.0, 0.42 * len(space) + 0.9), layout="constrained")
         axis = figure.subplots()
-        for i, (name, p) in enumerate(zip(names, space.parameters, strict=True)):
-            for offset, color, when in ((0.15, TRUTH, "before"), (-0.15, POSTERIOR, "after")):
-                value = answer.base_parameters[name][when]  # pyright: ignore[reportIndexIssue]
-                at, half = (value["mean"] - p.low) / (p.high - p.low), 1.645 * value["std"] / (p.high - p.low)
-                axis.errorbar(at, -i + offset, xerr=half, color=color, marker="o", markersize=4, capsize=3)
-        axis.set_yticks([-i for i in range(len(names))], [symbol(name) for name in names])
-        axis.set_xlim(-0.02, 1.02)
+        seaborn.pointplot(  # the median of an interval's ends and mean is the mean
+            places, x="place", y="parameter", hue="model", palette=[TRUTH, POSTERIOR], orient="y",
+            estimator="median", errorbar=("pi", 100), legend=False, ax=axis, **look,
+        )  # fmt: skip
+        axis.set(xlim=(-0.02, 1.02), xlabel="", ylabel="")
         axis.set_xticks([0, 0.5, 1], ["prior's low end", "", "prior's high end"])
         save(figure, path, [key("base model", TRUTH), key("whatever is missing", POSTERIOR)])
+
+
+def _place(p: Parameter, values: Any) -> pd.DataFrame:
+    """The ends of a parameter's 90 % intervals and its means, as shares of its prior's box."""
+    rows = [
+        {"parameter": symbol(p.name), "model": when, "place": (values[when][key] - p.low) / (p.high - p.low)}
+        for when in ("before", "after")
+        for key in ("q05", "mean", "q95")
+    ]
+    return pd.DataFrame(rows)
 
 
 def held_out_figure(held_out: Observation, predictions: Mapping[str, Prediction], path: Path) -> None:

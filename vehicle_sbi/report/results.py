@@ -18,9 +18,10 @@ from vehicle_sbi.inference.simulator import STIFFNESSES
 from vehicle_sbi.inference.study import Prepared
 from vehicle_sbi.report.figures import contraction_bars, losses, pairplot
 from vehicle_sbi.report.figures import predictive as predictive_figure
-from vehicle_sbi.report.page import in_section, write_page
+from vehicle_sbi.report.page.page import write_page
+from vehicle_sbi.report.page.run import page_of
 from vehicle_sbi.report.run_folder import RunFolder
-from vehicle_sbi.report.tables import LEGEND, for_people, html, nominal_table, posterior_table, terminal, write_tables
+from vehicle_sbi.report.tables import nominal_table, posterior_table, terminal, write_tables
 from vehicle_sbi.rng import Stream, seed_torch
 
 LEAKING = 0.5  # acceptance below which the last round is warned about
@@ -68,14 +69,19 @@ def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, sampl
         figures = write_figures(folder.path / "figures", found, prepared, inference)
     seconds = ", ".join(f"{stage} {time:.0f} s" for stage, time in folder.manifest["seconds"].items())
     told.append(f"Time: {seconds}; peak memory {folder.manifest['peak_memory_mb']} MB.")
-    write_page(
-        folder.path / "report.html",
-        title=f"Parameters of {prepared.name}",
-        sections={"Parameters": in_section(html(for_people(found.table)), LEGEND)},
-        notes=told,
+    windows = prepared.problem.simulator.windows
+    page = page_of(
+        prepared.name,
+        prepared.problem.simulator.space,
+        found.samples,
+        found.table,
+        (windows, prepared.problem.observed, found.predicted.quantiles),
+        path=folder.path / "report.html",
         figures=figures,
+        notes=told,
         warnings=warnings,
     )
+    write_page(folder.path / "report.html", page)
     folder.complete()
 
 
@@ -120,9 +126,8 @@ def write_figures(path: Path, found: Results, prepared: Prepared, inference: Inf
     contraction_bars(found.table, path / "contraction.png")
     losses(history(inference), path / "losses.png")
     return {
-        "Posterior: densities on the diagonal, pairs below; red is the truth, where it is known.": path
+        "Posterior in pairs: marginals on the diagonal, pairs below; red is the truth, where it is known.": path
         / "pairplot.png",
-        "Recording against posterior predictive, with its 90 % band.": path / "predictive.png",
         "Posterior standard deviation against bound and prior.": path / "contraction.png",
         "Loss of every round.": path / "losses.png",
     }

@@ -4,13 +4,12 @@ The manifest is rewritten whole after every change, so a run that is killed at a
 command continues and that another configuration cannot silently overwrite.
 """
 
-import fcntl
+import errno
 import hashlib
 import json
 import logging
 import os
 import platform
-import resource
 import subprocess
 import sys
 import time
@@ -22,13 +21,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import psutil
 import yaml
+from filelock import FileLock, Timeout
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_text
 
 SCHEMA = 1
 PACKAGES = ("sbi", "torch", "numpy", "numba")
+NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP}  # of file systems that have none
 
 _log = logging.getLogger("vehicle_sbi.run")
 
@@ -48,7 +50,7 @@ class RunFolder:
 
     path: Path
     manifest: dict[str, Any]
-    _lock: int
+    _lock: FileLock
     _handler: logging.Handler
 
     @classmethod
@@ -81,7 +83,7 @@ class RunFolder:
             write_text(path / ".hydra" / "overrides.yaml", yaml.safe_dump(list(overrides)))
             folder = cls(path=path, manifest=manifest, _lock=lock, _handler=_log_file(path / "log.txt"))
         except BaseException:
-            os.close(lock)
+            lock.release()
             raise
         try:
             folder._save()
@@ -132,7 +134,7 @@ class RunFolder:
         try:
             self._handler.close()
         finally:
-            os.close(self._lock)
+            self._lock.release()
 
     def __enter__(self) -> "RunFolder":
         return self
@@ -208,19 +210,21 @@ def _yaml(file: Path) -> Any:
         raise InputError(f"{file}: not YAML ({' '.join(str(error).split())})") from None
 
 
-def _locked(path: Path) -> int:
-    """The descriptor of the folder's lock; the kernel lets go of it when the process dies, however it dies."""
-    lock = os.open(path / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+def _locked(path: Path) -> FileLock:
+    """The folder's lock; the operating system lets go of it when the process dies, however it dies."""
+    lock, holder = FileLock(path / ".lock"), path / ".holder"
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        holder = os.read(lock, 32).decode() or "unknown"
-        os.close(lock)
-        raise InputError(f"{path} is in use by process {holder}; wait for it or choose another hydra.run.dir") from None
+        lock.acquire(timeout=0)
+    except Timeout:
+        process = holder.read_text() if holder.exists() else "unknown"
+        raise InputError(
+            f"{path} is in use by process {process}; wait for it or choose another hydra.run.dir"
+        ) from None
     except OSError as error:
-        _log.warning("%s: no lock on this file system (%s); run one process at a time here", path, error.strerror)
-    os.truncate(lock, 0)
-    os.pwrite(lock, str(os.getpid()).encode(), 0)
+        if error.errno not in NO_LOCKS:
+            raise
+        _log.warning("%s: no lock on this file system (%s); run one process at a time here", path, error)
+    holder.write_text(str(os.getpid()))
     return lock
 
 
@@ -302,5 +306,8 @@ def _commit() -> str | None:
 
 def _peak_memory() -> int:
     """The largest resident size of this process so far [MB]."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(peak / (2**20 if sys.platform == "darwin" else 2**10))
+    if sys.platform == "win32":
+        return round(psutil.Process().memory_info().peak_wset / 2**20)
+    import resource  # Windows has none
+
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10))

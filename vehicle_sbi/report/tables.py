@@ -201,7 +201,7 @@ def markdown(frame: pd.DataFrame) -> str:
 def html(frame: pd.DataFrame) -> str:
     """A frame of text as an HTML table: escaped, with minus signs, and with powers (1e5 N, m^2) raised; columns that
     are mostly numbers have the class `number`."""
-    of_numbers = [bool(frame[column].astype(str).str.match(r"[+-]?\d").mean() > 0.5) for column in frame]
+    of_numbers = [bool(frame[column].astype(str).str.match(r"[+-]?\d(?!e\d)").mean() > 0.5) for column in frame]
     rows = [("th", [*frame.columns]), *(("td", row) for row in frame.astype(str).to_numpy().tolist())]
     lines = ["".join(map(_cell, row, [tag] * len(row), of_numbers)) for tag, row in rows]
     return "<table>\n" + "\n".join(f"<tr>{line}</tr>" for line in lines) + "\n</table>"
@@ -270,18 +270,9 @@ def _tex(table: pd.DataFrame, nominal: pd.DataFrame, notes: Sequence[str]) -> st
 
 
 def _tabular(head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
-    body = [" & ".join([name, *(minus(cell, "$-$") for cell in cells)]) + r" \\" for name, cells in rows.items()]
-    return "\n".join(
-        [
-            rf"\begin{{tabular}}{{l{'r' * len(head)}}}",
-            r"\toprule",
-            " & ".join(["", *head]) + r" \\",
-            r"\midrule",
-            *body,
-            r"\bottomrule",
-            r"\end{tabular}",
-        ]
-    )
+    cells = [[minus(cell, "$-$") for cell in row] for row in rows.values()]
+    frame = pd.DataFrame(cells, index=list(rows), columns=list(head))
+    return frame.style.to_latex(hrules=True, column_format=f"l{'r' * len(head)}").rstrip()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -364,8 +355,8 @@ def _run_folders(path: Path) -> list[Path]:
     return found
 
 
-def _run_table(run: FinishedRun, base: Path) -> pd.DataFrame:
-    file = run.path / "table.csv"
+def read_table(file: Path) -> pd.DataFrame:
+    """The table.csv of a finished run; InputError if it is missing or none."""
     try:
         table = pd.read_csv(file)
     except FileNotFoundError:
@@ -375,7 +366,11 @@ def _run_table(run: FinishedRun, base: Path) -> pd.DataFrame:
     missing = [column for column in COLUMNS if column not in table]
     if missing:
         raise InputError(f"{file}: column {', '.join(missing)} missing; a run's table has {', '.join(COLUMNS)}")
-    table = table[list(COLUMNS)]
+    return table[list(COLUMNS)]
+
+
+def _run_table(run: FinishedRun, base: Path) -> pd.DataFrame:
+    table = read_table(run.path / "table.csv")
     # The seed and the folder say which run of a study it is, not which study.
     study = " ".join(sorted(o for o in run.overrides if not o.lstrip("+~").startswith(("seed=", "hydra."))))
     about = {

@@ -1,0 +1,206 @@
+"""Pages stand alone, say everything, escape what they are given, and stay small; so does an index over many runs."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from pages import HOSTILE, diagnosis_page, run_page
+from test_report import PNG, finished_run, table
+
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.report.page import parts
+from vehicle_sbi.report.page.index import BROKEN, COMPLETE, DIAGNOSIS, RUN, UNFINISHED, rows, write_index
+from vehicle_sbi.report.page.page import Page, write_page
+from vehicle_sbi.report.page.parts import Listed, Picture, Section, Table, Words
+from vehicle_sbi.report.page.run import headline
+from vehicle_sbi.report.page.thinning import thinned
+from vehicle_sbi.report.run_folder import RunFolder
+
+LARGEST = 5_000_000  # bytes of a page
+WORDS = 25  # of an explanation at most
+
+
+@pytest.fixture(scope="module")
+def diagnosis(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, str]:
+    path = tmp_path_factory.mktemp("diagnosis") / "report.html"
+    return diagnosis_page(path), path.read_text()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, str]:
+    path = tmp_path_factory.mktemp("run") / "report.html"
+    return run_page(path), path.read_text()
+
+
+def assert_stands_alone(text: str) -> None:
+    """Nothing that a browser would fetch: elements refer to nothing but the page and what it holds itself."""
+    markup = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
+    sources = re.findall(r"""(?:src|href|srcset|action|data)=["']?([^"'\s>]+)""", markup)
+    assert all(source.startswith(("data:", "#")) for source in sources), sources
+    assert not re.search(r"@import|url\(|<link(?! rel=\"icon\" href=\"data:,\")|<iframe|<script [^>]*src", markup)
+
+
+@pytest.mark.parametrize("kind", ["diagnosis", "run"])
+def test_a_page_stands_alone_and_is_small(kind: str, request: pytest.FixtureRequest) -> None:
+    _, text = request.getfixturevalue(kind)
+    assert_stands_alone(text)
+    assert len(text.encode()) < LARGEST
+
+
+@pytest.mark.parametrize("kind", ["diagnosis", "run"])
+def test_a_page_escapes_a_hostile_name_wherever_it_stands(kind: str, request: pytest.FixtureRequest) -> None:
+    page, text = request.getfixturevalue(kind)
+    assert HOSTILE in page.title
+    assert HOSTILE not in text
+    assert "a note &lt;script&gt;alert(1)&lt;/script&gt;" in text
+
+
+@pytest.mark.parametrize("kind", ["diagnosis", "run"])
+def test_a_page_says_what_comes_first_first_and_explains_every_chart(kind: str, request: pytest.FixtureRequest) -> None:
+    page, text = request.getfixturevalue(kind)
+    body = text[text.index("<body>") :]
+    order = ["<h1>", 'class="curves"', "<details>", "<table"]
+    assert [body.index(one) for one in order] == sorted(body.index(one) for one in order)
+    for section in page.shown:
+        assert 0 < len(section.said.split()) <= WORDS
+    assert len(page.lines) <= 5
+    assert body.count("<h1>") == 1
+
+
+def test_the_page_of_a_diagnosis_holds_the_answer_and_its_warnings(diagnosis: tuple[Page, str]) -> None:
+    page, text = diagnosis
+    assert "body roll" in page.headline
+    assert text.index('role="alert"') < text.index('class="curves"')
+    assert "body_roll.gradient = " in text
+    assert "Both models predict" in text
+    assert "absorbed by" in text
+    (curves, *_) = page.curves
+    assert list(curves.keys)[:3] == ["recorded", "base", "extended"]
+
+
+def test_the_page_of_a_run_says_what_was_told_and_what_was_not(run: tuple[Page, str]) -> None:
+    page, text = run
+    assert page.headline == "The recording identifies 1 of 3 parameters."
+    assert page.lines[1].startswith("Not identified by this recording: ")
+    assert text.count('class="dull"') == 2
+
+
+def test_a_headline_counts(tmp_path: Path) -> None:
+    found = table()
+    assert headline(found.assign(identified=True)) == "The recording identifies all 3 parameters."
+    assert headline(found.assign(identified=False)) == "The recording identifies none of 3 parameters."
+    assert headline(found.iloc[:1].assign(identified=True)) == "The recording identifies the parameter."
+
+
+def test_an_hour_of_driving_stays_small(tmp_path: Path) -> None:
+    """All channels at 100 Hz, with their simulations: 20 million numbers."""
+    from vehicle_sbi.report.page.charts import Series, chart
+
+    t = np.arange(3600 * 100) / 100.0
+    y = np.random.default_rng(0).standard_normal((13, len(t)))
+    series = Series(
+        t=t, channels=[f"channel_{i}" for i in range(13)], units=["m/s²"] * 13,
+        curves={"recorded": y, "base": y, "extended": y}, band=(y, y),
+    )  # fmt: skip
+    names = {"recorded": "recorded", "base": "base", "extended": "extended"}
+    charts = [chart(series, names) for _ in range(3)]
+    drawn = [parts.Curves(figure, names, "made up", every) for figure, every in charts]
+    write_page(tmp_path / "report.html", Page(title="", headline="", shown=[Section(heading="", parts=drawn)]))
+    assert (tmp_path / "report.html").stat().st_size < LARGEST
+    assert f"least and the largest of every {charts[0][1]} samples" in (tmp_path / "report.html").read_text()
+
+
+def test_thinning_keeps_every_spike_and_every_gap() -> None:
+    t, spike = np.arange(100_000) / 100.0, 43_210
+    y = np.zeros(len(t))
+    y[spike] = 5.0
+    kept = np.abs(t - 600.0) > 50.0
+    found = thinned(t[kept], {"y": y[kept]}, values=4000)
+    assert found.every > 1
+    assert len(found.t) <= 4000
+    assert np.nanmax(found.curves["y"]) == 5.0
+    at = found.t[np.nanargmax(found.curves["y"])]
+    assert abs(at - t[spike]) <= found.every / 100.0
+    assert np.isnan(found.t).sum() == np.isnan(found.curves["y"]).sum() == 1
+
+
+def test_what_is_short_is_not_thinned_and_bands_keep_their_edges() -> None:
+    t = np.arange(100.0)
+    y = np.sin(t)
+    whole = thinned(t, {"y": y}, values=10)
+    np.testing.assert_array_equal(whole.curves["y"], y)
+    long = np.arange(10_000.0)
+    band = thinned(long, {"a": np.sin(long), "b": np.sin(long)}, values=1500, edges={"a": False, "b": True})
+    assert (band.curves["a"] < band.curves["b"]).all()
+
+
+def test_parts_escape_what_they_are_given(tmp_path: Path) -> None:
+    frame = pd.DataFrame({HOSTILE: [HOSTILE]})
+    said = [Words([HOSTILE]), Listed([HOSTILE]), Table(frame, HOSTILE)]
+    page = Page(
+        title=HOSTILE, headline=HOSTILE, lines=[HOSTILE], warnings=[HOSTILE],
+        shown=[Section(heading=HOSTILE, said=HOSTILE, parts=said)], folded=[Section(heading=HOSTILE, parts=said)],
+    )  # fmt: skip
+    write_page(tmp_path / "report.html", page)
+    text = (tmp_path / "report.html").read_text()
+    assert "<script" not in text  # without a chart there is none at all
+    assert text.count("&lt;script&gt;") >= 15
+
+
+@pytest.mark.parametrize(("size", "inside"), [(100, True), (parts.PICTURE_BYTES + 1, False)])
+def test_a_large_picture_is_shown_from_its_file(tmp_path: Path, size: int, inside: bool) -> None:
+    file = tmp_path / "figures" / "a.png"
+    file.parent.mkdir()
+    file.write_bytes(PNG + bytes(8) + (1500).to_bytes(4, "big") + bytes(size))
+    picture = Picture(file, "a picture", tmp_path / "report.html")
+    assert picture.width == 960
+    assert picture.source.startswith("data:") == inside
+    assert inside or picture.source == "figures/a.png"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [("2 m/s^2", "2 m/s²"), ("(1 ± 2) · 1e5 N/rad", "(1 ± 2) · 10⁵ N/rad"), ("1e-05 s", "1e-05 s"), ("x^-1", "x⁻¹")],
+)
+def test_powers_are_raised(text: str, shown: str) -> None:
+    assert parts.raised(text) == shown
+
+
+def diagnosis_folder(path: Path, headline: str) -> None:
+    with RunFolder.open(path, config={}, overrides=[], inputs={}) as folder:
+        (path / "verdict.json").write_text(json.dumps({"headline": headline}))
+        (path / "report.html").write_text("")
+        folder.complete()
+
+
+def test_an_index_has_a_row_for_whatever_lies_there(tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    finished_run(runs / "told", table(), 0)
+    finished_run(runs / "damaged", table(), 0)
+    (runs / "damaged" / "table.csv").write_text("")
+    diagnosis_folder(runs / "a car", f"Missing: {HOSTILE}.")
+    RunFolder.open(runs / "killed", config={}, overrides=[], inputs={}).close()
+    (runs / "foreign").mkdir()
+    (runs / "foreign" / "manifest.json").write_text("[]")
+    found = {row.path.name: row for row in rows([runs, runs / "told"])}
+    assert {name: (row.kind, row.status) for name, row in found.items()} == {
+        "told": (RUN, COMPLETE), "damaged": (RUN, BROKEN), "a car": (DIAGNOSIS, COMPLETE),
+        "killed": (RUN, UNFINISHED), "foreign": (RUN, BROKEN),
+    }  # fmt: skip
+    assert found["told"].headline == "The recording identifies 2 of 3 parameters."
+    assert "not a table" in found["damaged"].headline
+    write_index(tmp_path / "report" / "index.html", [*found.values()])
+    text = (tmp_path / "report" / "index.html").read_text()
+    assert 'href="../runs/a%20car/report.html"' in text
+    assert HOSTILE not in text
+    assert "1 diagnosis and 4 runs, of which 1 unfinished and 2 broken." in text
+
+
+def test_an_index_refuses_a_folder_without_runs(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        rows([tmp_path / "absent"])
+    with pytest.raises(InputError, match="no run folder"):
+        rows([tmp_path])

@@ -1,0 +1,51 @@
+"""Windows of recordings as series over one time: what was recorded, what models make of it."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from vehicle_sbi.data.channels import CHANNELS
+from vehicle_sbi.data.windows import Windows
+from vehicle_sbi.physics.single_track import INPUTS
+from vehicle_sbi.report.page.charts import Series
+
+Signals = Float[np.ndarray, "channels time"]
+
+
+def series(
+    windows: Windows,
+    curves: Mapping[str, Signals],
+    *,
+    band: tuple[Signals, Signals] | None = None,
+    places: Mapping[str, list[tuple[float, float]]] | None = None,
+) -> Series:
+    """Curves where something was measured, over the time of the recording, or of several one after another."""
+    kept, (t, starts) = windows.valid.any(axis=0), _time(windows)
+
+    def shown(signals: Signals) -> Signals:
+        return np.where(windows.valid, signals, np.nan)[:, kept]
+
+    return Series(
+        t=t[kept],
+        channels=windows.channels,
+        units=[CHANNELS[name].unit for name in windows.channels],
+        curves={name: shown(curve) for name, curve in curves.items()},
+        band=None if band is None else (shown(band[0]), shown(band[1])),
+        places=places or {},
+        starts=[(max(at, float(t[kept].min())), name) for at, name in starts],  # after the warm-up
+    )
+
+
+def is_alone(windows: Windows) -> bool:
+    """Whether all windows are of one recording, whose own time they then have."""
+    return len({*windows.recordings}) <= 1
+
+
+def _time(windows: Windows) -> tuple[Float[np.ndarray, " time"], list[tuple[float, str]]]:
+    """Time of each sample [s], and when which recording begins."""
+    if is_alone(windows):
+        return windows.t.reshape(-1), []
+    clock = windows.u[..., INPUTS.index("time")]
+    starts = {name: float(first) for name, first in zip(windows.recordings[::-1], clock[::-1, 0], strict=True)}
+    return clock.reshape(-1), [(at, name) for name, at in reversed(starts.items())]
