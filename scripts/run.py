@@ -1,4 +1,9 @@
-"""Parameters of one vehicle, from a recording or from a synthetic manoeuvre: posterior, table, figures, report."""
+"""Parameters of one vehicle from a recording, or from a simulated drive: posterior, table, figures, page.
+
+python scripts/run.py recording=drive.csv vehicle=car.yaml
+python scripts/run.py prior=default estimator=nsf
+python scripts/run.py -m estimator=nsf,maf seed=0,1,2
+"""
 
 from _entry import launch, run_folder, warn  # first: it sets the number of threads
 

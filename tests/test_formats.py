@@ -6,8 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from vehicle_sbi.data.formats import read_table
+from vehicle_sbi.data.formats.registry import read_tables
+from vehicle_sbi.data.formats.table import Table
+from vehicle_sbi.data.mapping import mapping_file
+from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
+
+ROOT = Path(__file__).parent.parent
 
 FRAME = pd.DataFrame({"time_s": np.arange(50) / 100.0, "a_y_mps2": np.sin(np.arange(50) / 100.0), "v_x_mps": 10.0})
 
@@ -24,6 +29,11 @@ sats time v-kmh  Lat._acc.\x20
 """
 
 
+def only(path: Path) -> Table:
+    (table,) = read_tables(path)
+    return table
+
+
 def vbo(folder: Path, rows: list[str], head: str = VBO) -> Path:
     path = folder / "drive.VBO"
     path.write_text(head + "\n".join(rows) + "\n", encoding="latin-1")
@@ -34,7 +44,7 @@ def vbo(folder: Path, rows: list[str], head: str = VBO) -> Path:
 def test_columns_come_back_as_they_were_written(tmp_path, name):
     path = tmp_path / name
     FRAME.to_csv(path, index=False) if name.endswith(".csv") else FRAME.to_parquet(path)
-    table = read_table(path)
+    table = only(path)
     assert list(table.columns) == list(FRAME)
     for column in FRAME:  # pandas reads decimals to an ulp or two, 2e-16 each
         np.testing.assert_allclose(table.numbers(str(column)), FRAME[column], rtol=1e-15)
@@ -43,29 +53,29 @@ def test_columns_come_back_as_they_were_written(tmp_path, name):
 @pytest.mark.parametrize("separator", ";\t")
 def test_semicolons_and_tabs_separate_too(tmp_path, separator):
     FRAME.to_csv(tmp_path / "drive.csv", sep=separator, index=False)
-    np.testing.assert_allclose(read_table(tmp_path / "drive.csv").numbers("a_y_mps2"), FRAME["a_y_mps2"], rtol=1e-15)
+    np.testing.assert_allclose(only(tmp_path / "drive.csv").numbers("a_y_mps2"), FRAME["a_y_mps2"], rtol=1e-15)
 
 
 def test_an_empty_cell_is_absent_and_so_is_infinity(tmp_path):
     (tmp_path / "drive.csv").write_text("time_s,v_x_mps\n0,1\n1,\n2,inf\n")
-    np.testing.assert_array_equal(read_table(tmp_path / "drive.csv").numbers("v_x_mps"), [1.0, np.nan, np.nan])
+    np.testing.assert_array_equal(only(tmp_path / "drive.csv").numbers("v_x_mps"), [1.0, np.nan, np.nan])
 
 
 def test_dates_are_no_numbers(tmp_path):
     FRAME.assign(time_s=pd.Timestamp("2020-01-01")).to_parquet(tmp_path / "drive.parquet")
     with pytest.raises(InputError, match="column 'time_s' holds dates; it must hold numbers"):
-        read_table(tmp_path / "drive.parquet").numbers("time_s")
+        only(tmp_path / "drive.parquet").numbers("time_s")
 
 
 def test_vbo_time_runs_across_midnight(tmp_path):
     clock = [f"2359{59 + k / 100:06.3f}" if k < 100 else f"0000{k / 100 - 1:06.3f}" for k in range(200)]
-    table = read_table(vbo(tmp_path, [f"010 {time} {36.0 + k:+.3f} -0.5" for k, time in enumerate(clock)]))
+    table = only(vbo(tmp_path, [f"010 {time} {36.0 + k:+.3f} -0.5" for k, time in enumerate(clock)]))
     np.testing.assert_allclose(table.numbers(table.time), np.arange(200) / 100.0, atol=1e-9)
     np.testing.assert_allclose(table.numbers("v-kmh"), 36.0 + np.arange(200))
 
 
 def test_trailing_dots_and_blanks_of_a_name_do_not_count(tmp_path):
-    table = read_table(vbo(tmp_path, ["010 000000.000 1 -0.5"]))
+    table = only(vbo(tmp_path, ["010 000000.000 1 -0.5"]))
     assert table.has("Lat._acc")
     assert table.numbers("Lat._acc") == table.numbers("Lat._acc. ") == [-0.5]
 
@@ -83,7 +93,7 @@ HEAD = "time_s,v_x_mps\n"
 BAD_FILES = {
     "absent": (lambda folder: folder / "drive.csv", "drive.csv: no such file"),
     "folder": (lambda folder: folder, "is no file"),
-    "suffix": (text("x", "drive.mf4"), r"'\.mf4' are not read; those that are: \.csv, \.txt, \.parquet, \.vbo"),
+    "suffix": (text("x", "drive.xyz"), r"'\.xyz' are not read; those that are: \.csv, \.txt, \.parquet, \.vbo, \.mat"),
     "empty": (text(""), "drive.csv: is empty"),
     "blank": (text("\n\n"), "drive.csv: is empty"),
     "binary": (text(b"PAR1\0\0\1\2"), "is binary"),
@@ -106,5 +116,82 @@ BAD_FILES = {
 def test_a_bad_file_is_one_clear_line(tmp_path, case):
     make, message = BAD_FILES[case]
     with pytest.raises(InputError, match=message) as error:
-        read_table(make(tmp_path)).numbers("v_x_mps")
+        only(make(tmp_path)).numbers("v_x_mps")
     assert "\n" not in str(error.value)
+
+
+T = np.arange(300) / 50.0
+
+
+def logger_text(kind: str) -> str:
+    """The same drive as MoTeC i2, AiM and commaSteeringControl write it."""
+    speed, lateral, yaw = 72.0 + T, np.sin(T) / 9.80665, np.degrees(0.2 * np.cos(T))
+    if kind == "comma":
+        head = "t,latActive,steeringPressed,vEgo,steeringAngleDeg,latAccelLocalizer,epsFwVersion"
+        rows = [
+            f"{t},True,False,{v / 3.6},{y},{-9.80665 * a},b'x'"
+            for t, v, a, y in zip(T, speed, lateral, yaw, strict=True)
+        ]
+        return "\n".join([head, *rows]) + "\n"
+    names = ["Time", "Ground Speed", "G Force Lat", "Gyro Yaw Velocity", "Engine RPM", "Coolant"]
+    units = ["s", "km/h", "G", "deg/s", "rpm", "C"]
+    preamble = {
+        "motec": ['"Format","MoTeC CSV File",,,"Workbook",""', '"Vehicle","car",,,"Worksheet",""',
+                  '"Sample Rate","50.000","Hz",,"Range","all"',
+                  '"Duration","6.000","s",,,', "", '"Beacon Markers","95.1 193.2"'],
+        "aim": ['"Format","AiM CSV File"', '"Session","Track"', '"Sample Rate","50"',
+                '"Beacon Markers","95.1","193.2","288.1","380.0","470.5"', '"Segment Times","1:35.1","1:38.1"', ""],
+    }[kind]  # fmt: skip
+    quoted = [",".join(f'"{field}"' for field in fields) for fields in (names, units)]
+    rows = [
+        ",".join(f'"{field:.6f}"' for field in (t, v, a, y, 3000.0, 80.0))
+        for t, v, a, y in zip(T, speed, lateral, yaw, strict=True)
+    ]
+    between = ["", ""] if kind == "motec" else [""]
+    return "\n".join([*preamble, *between, *quoted, *between, *rows]) + "\n"
+
+
+@pytest.mark.parametrize("kind", ["motec", "aim"])
+def test_loggers_put_a_preamble_before_the_header_and_units_after_it(tmp_path, kind):
+    table = only(text(logger_text(kind))(tmp_path))
+    assert table.time == "Time"
+    assert (table.unit("Ground Speed"), table.unit("G Force Lat"), table.unit("Time")) == ("km/h", "G", "s")
+    np.testing.assert_allclose(table.numbers("Time"), T, atol=1e-6)
+    np.testing.assert_allclose(table.numbers("G Force Lat") * 9.80665, np.sin(T), atol=1e-5)
+    lines = logger_text(kind).splitlines()
+    assert lines[table.first_row - 1].startswith('"0.000000"')
+
+
+@pytest.mark.parametrize("kind", ["motec", "comma"])
+def test_presets_read_what_loggers_write(tmp_path, kind):
+    path = text(logger_text(kind))(tmp_path)
+    mapping = dict(mapping_file(ROOT / f"conf/mapping/{'motec' if kind == 'motec' else 'openpilot'}.yaml"))
+    if kind == "motec":
+        del mapping["steering_wheel"]  # which this car does not log
+    recording = RecordingFile(path=path, mapping=mapping).load()
+    np.testing.assert_allclose(recording.channels["v_x"], (72.0 + T) / 3.6, atol=1e-6)
+    np.testing.assert_allclose(recording.channels["a_y"], np.sin(T), atol=1e-5)
+    if kind == "motec":
+        np.testing.assert_allclose(recording.channels["yaw_rate"], 0.2 * np.cos(T), atol=1e-6)
+        assert "units as drive.csv states them: v_x km/h, a_y G, yaw_rate deg/s" in recording.notes
+    else:
+        assert any("taken as positive to the right" in note for note in recording.notes)
+
+
+def test_a_cut_logger_row_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"row 31. has 4 fields, the header names 6 columns .is the file truncated"):
+        only(text(logger_text("motec").rstrip().rsplit(",", 2)[0])(tmp_path))
+
+
+def test_units_may_stand_in_brackets_and_decimals_be_commas(tmp_path):
+    table = only(text("Time [ms];v (km/h);axis (IMU)\n0,0;1,5;2\n10,0;2,5;3\n")(tmp_path))
+    assert (table.time, table.unit("Time [ms]"), table.unit("v (km/h)"), table.unit("axis (IMU)")) == (
+        "Time [ms]", "ms", "km/h", "",
+    )  # fmt: skip
+    assert table.numbers("v (km/h)").tolist() == [1.5, 2.5]
+
+
+def test_a_vbo_states_units_in_its_header_and_in_their_own_section(tmp_path):
+    head = VBO.replace("time\nLat acc.\n", "satellites\ntime\nvelocity kmh\nLat acc.\n\n[channel units]\ng\n")
+    table = only(vbo(tmp_path, ["010 000000.000 1 -0.5"], head))
+    assert (table.unit("v-kmh"), table.unit("Lat._acc.")) == ("km/h", "g")

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,9 @@ from omegaconf import OmegaConf
 
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.cutting import cut
-from vehicle_sbi.data.readers import UNITS, ChannelSource, RecordingFile, factor, flag_spikes, read
+from vehicle_sbi.data.mapping import ChannelSource, built, mapping_file
+from vehicle_sbi.data.readers import RecordingFile, flag_spikes, read
+from vehicle_sbi.data.units import UNITS, factor
 from vehicle_sbi.errors import InputError
 
 ROOT = Path(__file__).parent.parent
@@ -172,6 +175,47 @@ def test_files_of_one_drive_are_merged_on_the_stretch_they_share(tmp_path):
         file.load()
 
 
+def test_the_first_candidate_that_the_file_has_is_taken_and_what_is_optional_may_lack(tmp_path):
+    mapping = {
+        "v_x": [{"column": "wheel"}, {"column": "v_x_mps", "note": "it is the GPS speed"}],
+        "a_z": {"column": "az", "optional": True},
+    }
+    rec = read(saved(tmp_path, frame()), mapping)
+    assert list(rec.channels) == ["v_x"]
+    assert rec.notes == ("v_x: it is the GPS speed",)
+    with pytest.raises(InputError, match="unknown column 'wheel'; known: "):
+        read(saved(tmp_path, frame()), {"v_x": [{"column": "wheel"}, {"column": "axle"}]})
+    with pytest.raises(InputError, match="has none of the columns of its mapping, which are all optional: a_z"):
+        read(saved(tmp_path, frame()), {"a_z": mapping["a_z"]})
+
+
+def test_a_mapping_may_be_a_file(tmp_path):
+    path, mapping = saved(tmp_path, frame()), tmp_path / "car.yaml"
+    mapping.write_text("v_x: {column: v_x_mps, unit: km/h}\n")
+    np.testing.assert_allclose(read(path, mapping).channels["v_x"], (10.0 + np.arange(N) / 100.0) / 3.6)
+    for content, message in (("a: [", "not valid YAML"), ("- 1", "must hold lines such as"), ("v_x: 3", "must hold")):
+        mapping.write_text(content)
+        with pytest.raises(InputError, match=message):
+            read(path, mapping)
+    with pytest.raises(InputError, match=r"mapping: .*nowhere.yaml: no such file"):
+        read(path, tmp_path / "nowhere.yaml")
+
+
+def test_clocks_of_several_files_are_kept_and_noted(tmp_path):
+    later = pd.DataFrame({"time_s": np.arange(0.31, 3.9, 0.02), "down": 1.0})
+    other = {"path": saved(tmp_path, later, "imu.csv"), "mapping": {"a_z": {"column": "down"}}}
+    notes = RecordingFile(path=saved(tmp_path, frame()), also=[other]).load().notes
+    assert "clock of imu.csv begins 0.310 s after that of drive.csv, in steps of 20 ms against 10 ms" in notes
+
+
+@pytest.mark.parametrize("preset", sorted((ROOT / "conf/mapping").glob("*.yaml")), ids=lambda path: path.stem)
+def test_presets_name_channels_and_settings_that_there_are(preset):
+    for name, given in mapping_file(preset).items():
+        candidates: Any = [given] if isinstance(given, dict) else given
+        for one in candidates:
+            built(ChannelSource, one, name).to_si(name, np.zeros(3), preset.stem)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_spikes_are_flagged_and_noise_is_not(seed):
     rng = np.random.default_rng(seed)
@@ -201,7 +245,7 @@ def test_a_spike_is_filled_but_not_valid(tmp_path):
 HEAD = "time_s,v_x_mps\n"
 BAD_FILES = {
     "header only": (HEAD, "has 0 data rows"),
-    "no time": ("t,v_x_mps\n0,1\n1,1\n2,1", "unknown column 'time_s'; known: "),
+    "no time": ("clock,v_x_mps\n0,1\n1,1\n2,1", "unknown column 'time_s'; known: "),
     "no native column": ("time_s,speed\n0,1\n1,1\n2,1", "no native column and no mapping"),
     "repeated time": (HEAD + "0,1\n1,1\n1,1\n2,1", "row 4, column 'time_s': 1 s repeats the time of the row above"),
     "time goes back": (HEAD + "0,1\n1,1\n0.5,1\n2,1", "row 4, column 'time_s': 0.5 s lies before the row above"),

@@ -127,7 +127,8 @@ def test_a_full_disk_is_an_os_error_and_leaves_the_manifest_whole(
         with pytest.raises(OSError, match="No space left"):
             getattr(run, call)()
         assert manifest(tmp_path) == before
-        assert sorted(file.name for file in tmp_path.iterdir()) == [".hydra", ".lock", "log.txt", "manifest.json"]
+        expected = [".holder", ".hydra", ".lock", "log.txt", "manifest.json"]
+        assert sorted(file.name for file in tmp_path.iterdir()) == expected
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is missing")

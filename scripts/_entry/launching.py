@@ -1,6 +1,6 @@
 """Launching a script: Hydra composes its configuration, and a mistake in it ends in one line and status 2."""
 
-from _entry import configuration
+from _entry import configuration, help
 from _entry.command_line import spelled_out
 from _entry.construction import check_construction
 from _entry.failures import Failure, report, reported
@@ -33,6 +33,9 @@ def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
 
         @functools.wraps(task)
         def main() -> None:
+            if help.wanted(sys.argv[1:]):
+                print(help.text(task.__globals__["__doc__"] or "", config_name, Path(sys.argv[0]).stem))
+                return
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, instead of printing in its own way
             try:
                 sys.argv[1:] = spelled_out(sys.argv[1:])

@@ -1,4 +1,7 @@
-"""Recordings by name: a name in `recordings` or `heldout` stands for the settings that conf/recording has of it."""
+"""Recordings by name: a name in `recordings` or `heldout` stands for the settings that conf/recording has of it.
+
+`${shipped:FILE}` in a configuration is a recording that the package brings with it.
+"""
 
 from _entry.command_line import is_file
 
@@ -10,7 +13,12 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+import vehicle_sbi
 from vehicle_sbi.errors import InputError, unknown
+
+SHIPPED = Path(vehicle_sbi.__file__).parent / "recordings"
+
+OmegaConf.register_new_resolver("shipped", lambda file: str(SHIPPED / file), replace=True)
 
 
 def named_recordings(cfg: DictConfig) -> DictConfig:

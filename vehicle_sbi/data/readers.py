@@ -1,28 +1,29 @@
 """Files of a drive, of whatever names and units, read into one `Recording`.
 
-A mapping says which column of a file's `Table` holds which channel and how it becomes SI:
-value = sign (scale unit(column) + offset). Several files of one drive, each on its own clock in the same time base, are
-then laid on one uniform grid by linear interpolation.
+A file is one `Table` a clock (a topic, a group of channels, a CAN message), and a mapping says which column of them
+holds which channel. All clocks of a drive, of one file or several in the same time base, are then laid on one uniform
+grid by linear interpolation; how they lie to each other is noted.
 """
 
+import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter
 
 from vehicle_sbi.data.channels import CHANNELS
-from vehicle_sbi.data.formats import Table, read_table
+from vehicle_sbi.data.formats.registry import read_tables
+from vehicle_sbi.data.formats.table import Table
+from vehicle_sbi.data.mapping import Candidates, ChannelSource, built, mapping_file, native, sources
 from vehicle_sbi.data.plausibility import LIMITS, absurd, findings, spoken_runs
 from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.data.units import factor
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.files import sha256
-
-Built = TypeVar("Built")
 
 SHORT_GAP_S = 0.1
 """Gaps up to this long [s] are filled linearly, longer ones masked (2.5 sample steps in slow files)."""
@@ -30,90 +31,37 @@ SHORT_GAP_S = 0.1
 MOST_ABSENT = 0.5
 """Largest share of a column's rows that may hold no number."""
 
-GROUPS = ("imu", "can", "wheel_speed")
-
-UNITS: Mapping[str, tuple[str, float]] = MappingProxyType(
-    {
-        "1": ("1", 1.0), "%": ("1", 0.01),
-        "rad": ("rad", 1.0), "deg": ("rad", np.pi / 180.0),
-        "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", np.pi / 180.0), "rpm": ("rad/s", np.pi / 30.0),
-        "m/s": ("m/s", 1.0), "km/h": ("m/s", 1.0 / 3.6), "mph": ("m/s", 0.44704), "knot": ("m/s", 1852.0 / 3600.0),
-        "m/s²": ("m/s²", 1.0), "m/s2": ("m/s²", 1.0), "g": ("m/s²", 9.80665),
-        "N m": ("N m", 1.0), "Nm": ("N m", 1.0), "kNm": ("N m", 1000.0),
-        "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9),
-    }
-)  # fmt: skip
-"""Unit -> (SI unit, factor); the factors are exact by definition (SI brochure, 9th edition)."""
-
-
-def factor(unit: str, si: str, where: str) -> float:
-    """What a number in `unit` is multiplied by to be in `si`; InputError if the unit is unknown or of another kind."""
-    if unit not in UNITS:
-        raise unknown("unit", unit, UNITS, where)
-    if UNITS[unit][0] != si:
-        allowed = ", ".join(name for name, (kind, _) in UNITS.items() if kind == si)
-        raise InputError(f"{where}: unit '{unit}' does not convert to {si}; allowed: {allowed}")
-    return UNITS[unit][1]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChannelSource:
-    """Where a channel comes from: a column, or several that are summed, and how its numbers become SI.
-
-    value = sign (scale unit(column) + offset), the offset in SI. `unit` None: already SI. With `wheel_radius` [m] a
-    wheel speed may be given as the linear speed of its rim. `group` names the sensors it belongs to.
-    """
-
-    column: str | Sequence[str]
-    scale: float = 1.0
-    offset: float = 0.0
-    sign: int = 1
-    unit: str | None = None
-    group: str | None = None
-    wheel_radius: float | None = None
-
-    def to_si(self, name: str, values: Float[np.ndarray, " rows"], where: str) -> Float[np.ndarray, " rows"]:
-        """The channel `name` in SI units; InputError for a unit, sign or group that is not allowed."""
-        where = f"{where}: channel {name}"
-        if self.sign not in (1, -1):
-            raise InputError(f"{where}: sign {self.sign} is neither 1 nor -1")
-        if self.group is not None and self.group not in GROUPS:
-            raise unknown("group", self.group, GROUPS, where)
-        si, divisor = CHANNELS[name].unit, 1.0
-        if self.wheel_radius is not None:
-            if si != "rad/s" or self.wheel_radius <= 0.0:
-                raise InputError(f"{where}: a wheel_radius is a positive length [m] for a wheel speed [rad/s]")
-            si, divisor = "m/s", self.wheel_radius
-        scale = self.scale * (1.0 if self.unit is None else factor(self.unit, si, where)) / divisor
-        return self.sign * (scale * values + self.offset)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """One channel as its file has it: times [s], values in SI (NaN where absent), and its sensor group."""
+    """One channel as its file has it: times [s], values in SI (NaN where absent), its sensor group, and its clock."""
 
     t: Float[np.ndarray, " rows"]
     values: Float[np.ndarray, " rows"]
     group: str
+    path: Path
+    clock: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingFile:
     """A recording on disk, what its columns mean, and how it is used unless the user says otherwise.
 
-    `mapping` names the source of each channel (None: the native columns of `CHANNELS`); `time` is the time column
-    [time_unit], whose values stay the recording's time (a VBO's starts at 0); `rate` [Hz] resamples (None: the file's
-    own); `start_s` and `stop_s` cut; `also` are further files of the same drive in the same time base (path, mapping
-    and time of theirs count), cut to the stretch that all of them cover. `drive`, `channels` and `v_min` [m/s] are
-    defaults for `cutting.cut`.
+    `mapping` names the source of each channel, or a YAML file that does (None or empty: the native columns of
+    `CHANNELS`); `dbc` is the database of raw CAN frames; `time` is the time column [time_unit], whose values stay the
+    recording's time (that of a VBO, a bag or a log starts at 0); `rate` [Hz] resamples (None: the file's own, of its
+    fastest clock); `start_s` and `stop_s` cut; `also` are further files of the same drive in the same time base (path,
+    mapping, dbc and time of theirs count), cut to the stretch that all of them cover. `drive`, `channels` and `v_min`
+    [m/s] are defaults for `cutting.cut`.
     Mappings of settings stand for `ChannelSource` and `RecordingFile`, as a configuration file holds them.
     """
 
     path: str | Path
-    mapping: Mapping[str, ChannelSource | Mapping[str, Any]] | None = None
+    mapping: str | Path | Mapping[str, Candidates] | None = None
+    dbc: str | None = None
     name: str | None = None
     time: str | None = None
-    time_unit: str = "s"
+    time_unit: str | None = None
     rate: float | None = None
     start_s: float | None = None
     stop_s: float | None = None
@@ -124,7 +72,7 @@ class RecordingFile:
 
     def load(self) -> Recording:
         """Read, convert, clean and resample; InputError, in one line, for whatever is wrong with the file."""
-        files = [self, *(_built(RecordingFile, other, f"{self.path}: also") for other in self.also)]
+        files = [self, *(built(RecordingFile, other, f"{self.path}: also") for other in self.also)]
         notes: list[str] = []
         series: dict[str, Series] = {}
         for file in files:
@@ -133,8 +81,10 @@ class RecordingFile:
             if twice:
                 raise InputError(f"{file.path}: {', '.join(twice)} also comes from another file of this recording")
             series |= found
+        notes += _clock_offsets(series.values())
         t, rate = self._grid(series.values(), notes)
         resampled = {name: _resampled(name, one, t, notes) for name, one in series.items()}
+        inputs = [Path(one) for file in files for one in (file.path, file.dbc) if one is not None]
         recording = Recording(
             name=self.name or Path(self.path).stem,
             rate=rate,
@@ -142,57 +92,53 @@ class RecordingFile:
             channels={name: values for name, (values, _) in resampled.items()},
             valid={name: valid for name, (_, valid) in resampled.items()},
             groups={name: one.group for name, one in series.items()},
-            source=" + ".join(str(file.path) for file in files),
-            sha256=" + ".join(sha256(Path(file.path)) for file in files),
+            source=" + ".join(map(str, inputs)),
+            sha256=" + ".join(map(_digest, inputs)),
             notes=tuple(notes),
         )
         return replace(recording, warnings=findings(recording))
 
     def series(self, notes: list[str]) -> dict[str, Series]:
-        """This file's channels in SI, each on the file's own clock and with its group; `notes` grows."""
-        table = read_table(Path(self.path))
-        t = _clock(table, self.time or table.time, self.time_unit, notes)
-        sources = self._sources(table)
-        channels = {}
-        for name, source in sources.items():
-            columns = [source.column] if isinstance(source.column, str) else list(source.column)
-            values = np.sum([table.numbers(column) for column in columns], axis=0)[: len(t)]
-            _check_absent(table, name, columns, values, t, notes)
-            values = source.to_si(name, values, str(self.path))
-            spikes = flag_spikes(values) if name != "brake" else np.zeros(len(t), dtype=bool)
-            if spikes.any():
-                notes.append(f"{name}: {spikes.sum()} single-sample spikes left out at {_listed(t[spikes])} s")
-            values = np.where(spikes, np.nan, values)
-            rate = 1.0 / float(np.median(np.diff(t)))
-            beyond, runs = absurd(name, values, rate)
-            limit = f"beyond {LIMITS.get(name, 0.0):g} {CHANNELS[name].unit}"
-            for which, why in ((beyond, limit), (runs, "they jump out and back")):
-                if which.any():
-                    notes.append(f"{name}: {spoken_runs(which, t)} left out: {why}")
-            group = source.group or CHANNELS[name].group
-            channels[name] = Series(t=t, values=np.where(beyond | runs, np.nan, values), group=group)
-        return channels
+        """This file's channels in SI, each on the clock of its table and with its group; `notes` grows."""
+        tables = read_tables(self.path, self.dbc)
+        mapping = mapping_file(Path(self.mapping)) if isinstance(self.mapping, str | Path) else self.mapping
+        chosen = sources(tables, mapping, str(self.path), notes) if mapping else native(tables, str(self.path))
+        clocks = self._clocks(tables, [table for table, _ in chosen.values()], notes)
+        stated = {name: source.file_units(name, table) for name, (table, source) in chosen.items()}
+        if any(stated.values()):
+            spoken = ", ".join(f"{name} {' + '.join(units)}" for name, units in stated.items() if units)
+            notes.append(f"units as {Path(self.path).name} states them: {spoken}")
+        return {
+            name: _series(name, source, table, clocks[table.clock], notes) for name, (table, source) in chosen.items()
+        }
 
-    def _sources(self, table: Table) -> dict[str, ChannelSource]:
-        if self.mapping is None:
-            native = {name: ChannelSource(column=c.column) for name, c in CHANNELS.items() if table.has(c.column)}
-            if not native:
-                columns = ", ".join(channel.column for channel in CHANNELS.values())
-                raise InputError(f"{self.path}: no native column and no mapping; native columns: {columns}")
-            return native
-        strange = [name for name in self.mapping if name not in CHANNELS]
-        if strange:
-            raise unknown("channel", strange[0], CHANNELS, f"{self.path}: mapping")
-        return {n: _built(ChannelSource, given, f"{self.path}: channel {n}") for n, given in self.mapping.items()}
+    def _clocks(
+        self, tables: Sequence[Table], used: Sequence[Table], notes: list[str]
+    ) -> dict[str, Float[np.ndarray, " rows"]]:
+        """The times [s] of each table that is used, by the name of its clock."""
+        if self.time is not None and len(tables) > 1 and not any(table.has(self.time) for table in tables):
+            raise unknown("column", self.time, [name for table in used for name in table.columns], str(self.path))
+        clocks = {}
+        for table in used:
+            if table.clock in clocks:
+                continue
+            column = self.time if self.time and (len(tables) == 1 or table.has(self.time)) else table.time
+            unit = (self.time_unit if column == self.time or len(tables) == 1 else None) or table.unit(column) or "s"
+            notes += [note for note in table.notes if note not in notes]
+            clocks[table.clock] = _clock(table, column, unit, notes)
+        return clocks
 
     def _grid(self, series: Iterable[Series], notes: list[str]) -> tuple[Float[np.ndarray, " time"], float]:
-        """The uniform grid [s] that all files cover, from a sample of the first, and its rate [Hz]."""
-        clocks = [one.t for one in series]
+        """The uniform grid [s] that all clocks cover, from a sample of this file's fastest, and its rate [Hz]."""
+        listed = list(series)
+        own = [one.t for one in listed if one.path == listed[0].path]
+        fastest = min(own, key=lambda t: float(np.median(np.diff(t))))
+        clocks = [fastest, *(one.t for one in listed)]
         steps = np.diff(clocks[0])
         step = float(np.median(steps))
         uniform = bool(np.all(np.abs(steps - step) < 0.02 * step))
-        own = float(f"{1.0 / (np.mean(steps) if uniform else step):.9g}")
-        rate = own if self.rate is None else float(self.rate)
+        usual = float(f"{1.0 / (np.mean(steps) if uniform else step):.9g}")
+        rate = usual if self.rate is None else float(self.rate)
         if not rate > 0.0:
             raise InputError(f"{self.path}: rate {rate:g} Hz is not positive")
         start = max([t[0] for t in clocks] + ([] if self.start_s is None else [self.start_s]))
@@ -203,15 +149,17 @@ class RecordingFile:
             raise InputError(
                 f"{self.path}: holds no samples from {start:.12g} to {stop:.12g} s; its files hold {spans}"
             )
-        if not uniform or rate != own or any(not np.array_equal(t, clocks[0]) for t in clocks):
+        if not uniform or rate != usual or any(not np.array_equal(t, clocks[0]) for t in clocks):
             spread = f"{1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
             notes.append(f"resampled linearly to {rate:g} Hz from steps of {spread}, median {1e3 * step:.3g} ms")
         return inside[0] + np.arange(int((stop - inside[0]) * rate + 1e-3) + 1) / rate, rate
 
 
-def read(path: str | Path, mapping: Mapping[str, ChannelSource | Mapping[str, Any]] | None = None) -> Recording:
-    """The recording in one file: native columns, or those that `mapping` (channel -> source) names."""
-    return RecordingFile(path=path, mapping=mapping).load()
+def read(
+    path: str | Path, mapping: str | Path | Mapping[str, Candidates] | None = None, dbc: str | None = None
+) -> Recording:
+    """The recording in one file: native columns, or those that `mapping` (channel -> source, or its file) names."""
+    return RecordingFile(path=path, mapping=mapping, dbc=dbc).load()
 
 
 def flag_spikes(values: Float[np.ndarray, " rows"]) -> Bool[np.ndarray, " rows"]:
@@ -234,18 +182,45 @@ def flag_spikes(values: Float[np.ndarray, " rows"]) -> Bool[np.ndarray, " rows"]
     return flags
 
 
-def _built(kind: type[Built], given: Built | Mapping[str, Any], where: str) -> Built:
-    """`given`, or what its settings construct; InputError for a setting that does not exist."""
-    if not isinstance(given, Mapping):
-        return given
-    known = fields(kind)  # pyright: ignore[reportArgumentType]
-    strange = [str(name) for name in given if name not in [one.name for one in known]]
-    if strange:
-        raise unknown("setting", strange[0], [one.name for one in known], where)
-    missing = [one.name for one in known if one.default is MISSING and one.name not in given]
-    if missing:
-        raise InputError(f"{where}: no value for {', '.join(missing)}")
-    return kind(**{str(name): value for name, value in given.items()})
+def _series(name: str, source: ChannelSource, table: Table, t: Float[np.ndarray, " rows"], notes: list[str]) -> Series:
+    """A channel in SI on its table's clock, without what cannot be: NaN in its place, and a note."""
+    values = source.read(name, table)[: len(t)]
+    _check_absent(table, name, source.columns, values, t, notes)
+    values = source.to_si(name, values, str(table.path))
+    spikes = flag_spikes(values) if name != "brake" else np.zeros(len(t), dtype=bool)
+    if spikes.any():
+        notes.append(f"{name}: {spikes.sum()} single-sample spikes left out at {_listed(t[spikes])} s")
+    values = np.where(spikes, np.nan, values)
+    rate = 1.0 / float(np.median(np.diff(t)))
+    beyond, runs = absurd(name, values, rate)
+    limit = f"beyond {LIMITS.get(name, 0.0):g} {CHANNELS[name].unit}"
+    for which, why in ((beyond, limit), (runs, "they jump out and back")):
+        if which.any():
+            notes.append(f"{name}: {spoken_runs(which, t)} left out: {why}")
+    group = source.group or CHANNELS[name].group
+    clock = table.clock or table.path.name
+    return Series(t=t, values=np.where(beyond | runs, np.nan, values), group=group, path=table.path, clock=clock)
+
+
+def _clock_offsets(series: Iterable[Series]) -> list[str]:
+    """How the clocks of a recording begin and tick beside its first, a note each; they are kept as they are."""
+    clocks = {(one.path, one.clock): one.t for one in series}
+    (_, first), *others = clocks
+    start = clocks[next(iter(clocks))]
+    return [
+        f"clock of {name} begins {abs(t[0] - start[0]):.3f} s {'after' if t[0] >= start[0] else 'before'} that of "
+        f"{first}, in steps of {1e3 * np.median(np.diff(t)):.3g} ms against {1e3 * np.median(np.diff(start)):.3g} ms"
+        for (name, t) in ((key[1], clocks[key]) for key in others)
+    ]
+
+
+def _digest(path: Path) -> str:
+    """The SHA-256 of a file, or of a folder's names and files."""
+    if not path.is_dir():
+        return sha256(path)
+    files = sorted(one for one in path.rglob("*") if one.is_file())
+    listed = "\n".join(f"{one.relative_to(path).as_posix()} {sha256(one)}" for one in files)
+    return hashlib.sha256(listed.encode()).hexdigest()
 
 
 def _clock(table: Table, name: str, unit: str, notes: list[str]) -> Float[np.ndarray, " rows"]:

@@ -1,0 +1,277 @@
+"""The package in Python: `from vehicle_sbi import read, identify, diagnose, simulate`.
+
+What is not said is as the command line has it: defaults come from the same files in conf/.
+"""
+
+import pydoc
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import yaml
+from matplotlib.figure import Figure
+
+from vehicle_sbi.command import PACKAGE
+from vehicle_sbi.data.manoeuvre import Manoeuvre
+from vehicle_sbi.data.readers import RecordingFile
+from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.inference.setup import Setup
+from vehicle_sbi.mismatch.answer.schema import Verdict
+from vehicle_sbi.mismatch.answer.verdict import Found, verdict
+from vehicle_sbi.mismatch.pipeline import steps
+from vehicle_sbi.mismatch.problem.case import Case, Diagnosis
+from vehicle_sbi.physics.vehicle import Vehicle
+from vehicle_sbi.physics.vehicle import read as read_vehicle
+from vehicle_sbi.rng import Stream, generator
+
+if TYPE_CHECKING:  # they need torch and sbi, which take seconds to import
+    from vehicle_sbi.inference.rounds import Inference
+    from vehicle_sbi.inference.study import Prepared
+
+CONF = next(path for path in (PACKAGE / "conf", PACKAGE.parent / "conf") if path.is_dir())
+Source = str | Path | RecordingFile | Recording
+Box = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held(RecordingFile):
+    """A recording that is in memory already."""
+
+    recording: Recording
+
+    def load(self) -> Recording:
+        return self.recording
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Parameters of a vehicle: `table` (a row each), `samples` (a column each) of the posterior, and sbi's own."""
+
+    table: pd.DataFrame
+    samples: pd.DataFrame
+    prepared: "Prepared"
+    inference: "Inference"
+
+    @property
+    def posterior(self) -> Any:
+        """sbi's posterior at what was observed."""
+        return self.inference.posterior
+
+    def plot(self) -> Figure:
+        """The posterior of each parameter, with its 90 % interval."""
+        rows = self.table.set_index("parameter")
+        figure = Figure(figsize=(2.4 * len(rows), 2.2), layout="constrained")
+        panels = figure.subplots(1, len(rows), squeeze=False)[0]
+        for axes, (name, row) in zip(panels, rows.iterrows(), strict=True):
+            axes.hist(self.samples[str(name)], bins=40, histtype="stepfilled", alpha=0.6)
+            axes.axvspan(row["q05"], row["q95"], color="0.5", alpha=0.2)
+            axes.set(xlabel=f"{name} [{row['unit']}]", yticks=[])
+        return figure
+
+    def _repr_html_(self) -> str:
+        return self.table.to_html(index=False)
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What a simulation lacks: the `verdict`, and what each step found."""
+
+    verdict: Verdict
+    case: Case
+    found: Found
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """Each effect with the probability that it is missing, whatever else is; the likeliest first."""
+        p = self.verdict.effects
+        return pd.DataFrame({"effect": [*p], "probability": [*p.values()]})
+
+    def plot(self) -> Figure:
+        """Probabilities of the effects that are likelier than 5 %."""
+        shown = self.table[self.table["probability"] > 0.05]
+        figure = Figure(figsize=(6.0, 0.8 + 0.3 * len(shown)), layout="constrained")
+        axes = figure.subplots()
+        axes.barh(shown["effect"], shown["probability"])
+        axes.invert_yaxis()
+        axes.set(xlim=(0.0, 1.0), xlabel="probability that it is missing")
+        return figure
+
+    def __str__(self) -> str:
+        return "\n".join([self.verdict.headline, *self.verdict.lines])
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        lines = "".join(f"<p>{escape(line)}</p>" for line in self.verdict.lines)
+        return f"<h4>{escape(self.verdict.headline)}</h4>{lines}{self.table.head(10).to_html(index=False)}"
+
+
+def read(path: str | Path, mapping: Mapping[str, Any] | None = None, **settings: Any) -> Recording:
+    """A recording of any format that is read; `settings` are those of `RecordingFile` (rate, start_s, dbc, …)."""
+    return RecordingFile(path=path, mapping=mapping, **settings).load()
+
+
+def identify(
+    recording: Source,
+    vehicle: str | Path | Vehicle,
+    *,
+    prior: str | Box = "lateral",
+    rounds: str | Mapping[str, Any] = "truncated",
+    samples: int = 5000,
+    folder: str | Path | None = None,
+    quiet: bool = False,
+    **settings: Any,
+) -> Identified:
+    """Parameters of a vehicle from a recording, by rounds of neural posterior estimation.
+
+    `prior` names a file of conf/prior or maps parameters to [low, high]; `rounds` names a scheme or changes numbers of
+    the default one ({"simulations": 1000}); `settings` are those of a study: drive, effects, window_s, seed, … In
+    `folder` rounds are kept, and taken from there by the same call.
+    """
+    from vehicle_sbi.inference.rounds import infer
+    from vehicle_sbi.inference.study import Study
+    from vehicle_sbi.report.results import results
+
+    parts = {"features": "score", "estimator": "nsf", "training": "default", "noise": "estimated"}
+    built = {group: _built(group, settings.pop(group, name)) for group, name in parts.items()}
+    study = Study(**_common(recording, vehicle, prior, settings, window_s=5.0), **built, truth=None)
+    scheme = _built(
+        "rounds", rounds if isinstance(rounds, str) else "truncated", {} if isinstance(rounds, str) else rounds
+    )
+    prepared = study.prepare()
+    with tempfile.TemporaryDirectory() as nowhere:
+        inference = infer(prepared.problem, scheme, Path(folder or nowhere), quiet=quiet)
+    found = results(prepared, inference, samples=samples)
+    names = list(prepared.problem.simulator.space.names)
+    return Identified(found.table, pd.DataFrame(found.samples, columns=names), prepared, inference)
+
+
+def diagnose(
+    recordings: Source | Sequence[Source],
+    vehicle: str | Path | Vehicle,
+    *,
+    heldout: Source | Sequence[Source] = (),
+    prior: str | Box = "lateral",
+    effect_prior: str = "passenger_car",
+    **settings: Any,
+) -> Diagnosed:
+    """What physics a simulation of these recordings lacks; `settings` are those of a diagnosis: drive, effects, …"""
+    fitted, held = ([_file(one) for one in _listed(given)] for given in (recordings, heldout))
+    if not fitted:
+        raise InputError("recordings: none is given")
+    common = _common(fitted[0], vehicle, prior, settings, window_s=10.0)
+    diagnosis = Diagnosis(
+        **common,
+        noise=_built("noise", settings.pop("noise", "estimated")),
+        recordings=fitted,
+        heldout=held,
+        effect_prior=_built("effect_prior", effect_prior),
+    )
+    case = diagnosis.prepare()
+    found = steps(case, rng=generator(seed=diagnosis.seed, stream=Stream.STUDY, index=2))
+    return Diagnosed(verdict(case, found), case, found)
+
+
+def simulate(
+    vehicle: str | Path | Vehicle,
+    manoeuvre: str | Manoeuvre = "paper_mild",
+    *,
+    model: str = "single_track",
+    **parameters: float,
+) -> pd.DataFrame:
+    """What sensors would read, without noise, of a vehicle in a manoeuvre: a column a channel, in native names.
+
+    `parameters` are constants of the vehicle, or of effects with "__" for the dot: `l_f=1.4, aero_drag__area=0.6`.
+    """
+    from vehicle_sbi.data.channels import CHANNELS
+
+    driven = manoeuvre if isinstance(manoeuvre, Manoeuvre) else _built("manoeuvre", manoeuvre)
+    car, values = _vehicle(vehicle), {name.replace("__", "."): float(x) for name, x in parameters.items()}
+    values = values or {"l_f": float(car.l_f or 0.0)}
+    setup = Setup(
+        vehicle=car, model=model, drive="torque", prior={name: _about(x) for name, x in values.items()},
+        effects=[], window_s=driven.duration, warmup_s=0.0, noise=_built("noise", "paper"), seed=0,
+    )  # fmt: skip
+    windows = driven.windows(car)
+    space = setup.space(windows)
+    simulator = setup.simulator(space, windows, uniform_start=False)
+    y = simulator.noise_free(np.array([[values[name] for name in space.names]]))[0]
+    table = {CHANNELS[name].column: series for name, series in zip(windows.channels, y, strict=True)}
+    return pd.DataFrame({"time_s": windows.t.reshape(-1), **table})
+
+
+def _common(
+    recording: Source, vehicle: str | Path | Vehicle, prior: str | Box, settings: dict[str, Any], *, window_s: float
+) -> dict[str, Any]:
+    """What studies and diagnoses are made of alike; what is used is taken out of the settings of the recording."""
+    file = _file(recording)
+    chosen = {
+        "model": "single_track",
+        "drive": file.drive,
+        "effects": [],
+        "window_s": window_s,
+        "warmup_s": 0.5,
+        "seed": 0,
+    }
+    strange = [name for name in settings if name not in {*chosen, "noise"}]
+    if strange:
+        raise unknown("setting", strange[0], chosen, "settings")
+    chosen |= {name: settings[name] for name in chosen if name in settings}
+    boxes = yaml.safe_load(_option("prior", prior).read_text()) if isinstance(prior, str) else prior
+    return {**chosen, "vehicle": _vehicle(vehicle), "prior": boxes, "recording": file}
+
+
+def _file(source: Source) -> RecordingFile:
+    if isinstance(source, Recording):
+        return Held(path=source.source, name=source.name, recording=source)
+    return source if isinstance(source, RecordingFile) else RecordingFile(path=source)
+
+
+def _listed(given: Source | Sequence[Source]) -> Sequence[Source]:
+    return [given] if isinstance(given, str | Path | RecordingFile | Recording) else given
+
+
+def _vehicle(given: str | Path | Vehicle) -> Vehicle:
+    """A vehicle itself, from a file, or by the name that conf/vehicle has."""
+    if isinstance(given, Vehicle):
+        return given
+    named = CONF / "vehicle" / f"{given}.yaml"
+    return read_vehicle(str(named if named.is_file() else given))
+
+
+def _option(group: str, name: str) -> Path:
+    path = CONF / group / f"{name}.yaml"
+    if not path.is_file():
+        raise unknown("option", name, [file.stem for file in (CONF / group).glob("*.yaml")], group)
+    return path
+
+
+def _built(group: str, name: str | Any, changes: Mapping[str, Any] | None = None) -> Any:
+    """What one of the project's own configuration files builds, with some of its settings changed."""
+    if not isinstance(name, str):
+        return name
+    return _constructed({**yaml.safe_load(_option(group, name).read_text()), **(changes or {})})
+
+
+def _constructed(node: Mapping[str, Any]) -> Any:
+    target: Any = pydoc.locate(node["_target_"])
+    return target(**{key: _value(x) for key, x in node.items() if not key.startswith("_")})
+
+
+def _value(node: Any) -> Any:
+    """What a setting's value is: lists of YAML are tuples here."""
+    if isinstance(node, list):
+        return tuple(map(_value, node))
+    return _constructed(node) if isinstance(node, Mapping) and "_target_" in node else node
+
+
+def _about(x: float) -> list[float]:
+    """A box around a value, which only has to hold it."""
+    reach = 1e-3 * (abs(x) or 1e-3)
+    return [x - reach, x + reach]

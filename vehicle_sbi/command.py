@@ -1,0 +1,133 @@
+"""The console command `vehicle-sbi VERB …`: each verb is a script of the project and takes the words that it takes.
+
+Scripts lie in `scripts/` of a checkout, and inside the package where it was installed from a wheel.
+"""
+
+import ast
+import os
+import runpy
+import sys
+import webbrowser
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parent
+SCRIPTS = next(path for path in (PACKAGE / "scripts", PACKAGE.parent / "scripts") if path.is_dir())
+USAGE = "vehicle-sbi VERB key=value …"
+MORE = "vehicle-sbi VERB --help says more; --version the version; --completion a script for bash or zsh"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verb:
+    """A script, the words it is given before the user's, the key that a file without one stands for, and the page that
+    is opened in the end."""
+
+    script: str
+    given: tuple[str, ...] = ()
+    file: str | None = None
+    says: str | None = None
+    opens: str | None = None
+
+    @property
+    def path(self) -> Path:
+        return SCRIPTS / f"{self.script}.py"
+
+    @property
+    def sentence(self) -> str:
+        """What it does, in the first sentence of the script's docstring unless it is said here."""
+        return self.says or _docstring(self.path).partition("\n\n")[0].replace("\n", " ").partition(":")[0].rstrip(".")
+
+    def arguments(self, typed: Sequence[str]) -> list[str]:
+        """The script's arguments: a file alone becomes the value of its key."""
+        return [*self.given, *(self._spelled(word) for word in typed)]
+
+    def _spelled(self, word: str) -> str:
+        return word if self.file is None or "=" in word or word.startswith(("-", "+", "~")) else f"{self.file}={word}"
+
+
+VERBS: Mapping[str, Verb] = {
+    "demo": Verb(
+        script="diagnose",
+        given=("recording=demo", "hydra.run.dir=outputs/demo"),
+        says="A real recording that ships with the package, diagnosed in about a minute; opens the page",
+        opens="outputs/demo/report.html",
+    ),
+    "inspect": Verb(script="inspect_recording", file="recording"),
+    "diagnose": Verb(script="diagnose", file="recording"),
+    "run": Verb(script="run", file="recording"),
+    "observability": Verb(script="observability", file="recording"),
+    "export": Verb(script="export", file="run"),
+    "report": Verb(script="report", file="runs"),
+    "catalogue": Verb(script="catalogue"),
+}
+
+
+def main() -> None:
+    """Run the verb that the command line begins with."""
+    typed = sys.argv[1:]
+    name = typed[0] if typed else "--help"
+    if name in ("--help", "-h", "help"):
+        print(overview())
+    elif name == "--version":
+        print(version("vehicle-sbi"))
+    elif name == "--completion":
+        print(completion())
+    elif name in VERBS:
+        _run(name, VERBS[name].arguments(typed[1:]))
+    else:
+        print(f"error: unknown verb '{name}'; known: {', '.join(VERBS)}", file=sys.stderr)
+        sys.exit(2)
+
+
+def overview() -> str:
+    """Every verb with a sentence and an example."""
+    rows = [f"  {name:<14} {verb.sentence}\n{'':<17}{example(name)}" for name, verb in VERBS.items()]
+    return "\n".join([USAGE, "", *rows, "", MORE])
+
+
+def example(name: str) -> str:
+    """The first example of a verb's script, as it is typed here."""
+    verb, plain = VERBS[name], f"vehicle-sbi {name}"
+    if verb.given:
+        return plain
+    lines = [line.strip() for line in _docstring(verb.path).splitlines() if line.strip().startswith("python ")]
+    return lines[0].replace(f"python scripts/{verb.script}.py", plain) if lines else plain
+
+
+def completion() -> str:
+    """A script for bash and zsh that completes verbs, then files; `eval "$(vehicle-sbi --completion)"` loads it."""
+    return (
+        'if [ -n "$ZSH_VERSION" ]; then autoload -U +X bashcompinit && bashcompinit; fi\n'
+        "_vehicle_sbi() {\n"
+        '  local word="${COMP_WORDS[COMP_CWORD]}"\n'
+        '  if [ "$COMP_CWORD" -eq 1 ]; then\n'
+        f'    COMPREPLY=($(compgen -W "{" ".join(VERBS)}" -- "$word"))\n'
+        "  else\n"
+        '    COMPREPLY=($(compgen -f -- "${word#*=}"))\n'
+        "  fi\n"
+        "}\n"
+        "complete -o filenames -F _vehicle_sbi vehicle-sbi"
+    )
+
+
+def _run(name: str, arguments: Sequence[str]) -> None:
+    """The script as if Python had been started with it."""
+    script = VERBS[name].path
+    os.environ["VEHICLE_SBI_COMMAND"] = f"vehicle-sbi {name}"  # which its help shows
+    sys.argv = [str(script), *arguments]
+    sys.path.insert(0, str(SCRIPTS))
+    runpy.run_path(str(script), run_name="__main__")
+    if (page := VERBS[name].opens) and _has_screen():
+        webbrowser.open(Path(page).resolve().as_uri())
+
+
+def _has_screen() -> bool:
+    """Whether there is a person before a screen, rather than a terminal far away or a test."""
+    shown = sys.platform in ("win32", "darwin") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return bool(shown) and sys.stdout.isatty()
+
+
+def _docstring(path: Path) -> str:
+    return ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""

@@ -1,0 +1,61 @@
+"""Logs of raw CAN frames, Vector's BLF and ASC, through `python-can`; a database says what the frames mean."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import numpy as np
+
+from vehicle_sbi.data.formats.can_frames import Frames, decoded
+from vehicle_sbi.data.formats.table import Table, foreign
+from vehicle_sbi.errors import InputError
+
+LONGEST = 64  # data bytes of a CAN FD frame
+
+
+def read(path: Path, dbc: Path | None) -> tuple[Table, ...]:
+    """A table a message of the database that the log holds; InputError if it is damaged or holds none."""
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: is empty")
+    if dbc is None:
+        raise InputError(f"{path}: holds raw CAN frames: recording.dbc=FILE.dbc says what they mean")
+    with foreign(path, "a CAN log"):
+        found = list(_messages(path))
+    if not found:
+        raise InputError(f"{path}: holds no CAN frame")
+    data = np.zeros((len(found), LONGEST), dtype=np.uint8)
+    for row, message in zip(data, found, strict=True):
+        row[: len(message.data)] = message.data
+    buses = {name: i for i, name in enumerate(sorted({str(one.channel) for one in found}))}
+    t = np.array([message.timestamp for message in found])
+    frames = Frames(
+        t=t - t[0],
+        identifiers=np.array([message.arbitration_id for message in found]),
+        data=data,
+        lengths=np.array([len(message.data) for message in found]),
+        bus=np.array([buses[str(message.channel)] for message in found]),
+    )
+    cut = path.suffix.lower() == ".asc" and b"end triggerblock" not in _end(path).lower()
+    notes = (f"{path.name}: has no end mark; the log may have been cut",) if cut else ()
+    return tuple(replace(table, notes=(*table.notes, *notes)) for table in decoded(path, frames, dbc))
+
+
+def _end(path: Path) -> bytes:
+    """The last bytes of a file."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 200))
+        return file.read()
+
+
+def _messages(path: Path) -> Iterator[can.Message]:
+    """The data frames of a log; InputError if a BLF is shorter than it says."""
+    if path.suffix.lower() == ".asc":
+        with can.ASCReader(path) as reader:
+            yield from (one for one in reader if not one.is_error_frame and not one.is_remote_frame)
+        return
+    with can.BLFReader(path) as reader:
+        size = path.stat().st_size
+        if reader.file_size > size:
+            raise InputError(f"{path}: has {size} bytes of the {reader.file_size} that it states: it is truncated")
+        yield from (one for one in reader if not one.is_error_frame and not one.is_remote_frame)

@@ -1,0 +1,175 @@
+"""ASAM MDF 4, through `asammdf`: a table a channel group, on the group's own master channel.
+
+A channel keeps its name; where several groups have one of that name it is `Group/Channel`. Channels are read one by
+one with `select` when they are asked for: `to_dataframe` would put all groups on the union of their times. Groups of
+raw CAN frames are decoded with a database.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from asammdf import MDF
+
+from vehicle_sbi.data.formats.can_frames import Frames, decoded
+from vehicle_sbi.data.formats.mdf_blocks import check_blocks
+from vehicle_sbi.data.formats.registry import CAN
+from vehicle_sbi.data.formats.table import Table, foreign, one_line
+from vehicle_sbi.errors import InputError
+
+FRAME = "CAN_DataFrame"
+MASTERS = (2, 3)  # channel types of masters and virtual masters
+FORMULA = re.compile(
+    r"(?>\s+|\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|X1?\b|[-+*/(),]|(?:sin|cos|tan|exp|log|log10|sqrt|abs)\b)*+"
+)
+"""What a conversion's formula may hold: numbers, X and functions of numexpr."""
+
+
+class Columns(Mapping[str, Any]):
+    """The channels of a group, each read when it is asked for."""
+
+    def __init__(self, path: Path, file: MDF, group: int, channels: Mapping[str, int]) -> None:
+        self.path, self.file, self.group, self.channels = path, file, group, channels
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        with foreign(self.path, "MDF"):
+            signal = self.file.select(
+                [(None, self.group, self.channels[name])], ignore_value2text_conversions=True, copy_master=False
+            )[0]
+        samples = np.asarray(signal.samples)
+        if samples.ndim != 1 or samples.dtype.kind not in "biuf":
+            raise InputError(f"{self.path}: channel '{name}' holds no numbers")
+        invalid = signal.invalidation_bits
+        return samples if invalid is None else np.where(np.asarray(invalid, dtype=bool), np.nan, samples)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.channels)
+
+    def __len__(self) -> int:
+        return len(self.channels)
+
+
+def read(path: Path, dbc: Path | None) -> tuple[Table, ...]:
+    """A table a group that has a clock, or a CAN message; InputError if the file is damaged or holds none."""
+    check_blocks(path)
+    if dbc is not None:
+        CAN.check_installed(path)
+    with foreign(path, "MDF"):
+        file = _opened(path)
+        _check_formulas(path, file)
+        frames = [i for i, group in enumerate(file.groups) if any(one.name == FRAME for one in group.channels)]
+        measured = tuple(_groups(path, file, set(frames)))
+    if dbc is not None:
+        with foreign(path, "MDF"):
+            found = [_frames(path, file, i) for i in frames if file.groups[i].channel_group.cycles_nr]
+        if not found:
+            raise InputError(f"{path}: a dbc is given, but the file holds no raw CAN frames")
+        joined = Frames.joined(found)
+        start = 0.0 if measured else joined.t[0]  # a log of frames alone begins with its first
+        return (*decoded(path, replace(joined, t=joined.t - start), dbc), *measured)
+    if not measured:
+        raw = "raw CAN frames only: recording.dbc=FILE.dbc says what they mean" if frames else "no group of numbers"
+        raise InputError(f"{path}: holds {raw}")
+    return measured
+
+
+def _opened(path: Path) -> MDF:
+    """The file, by its stream where it was closed properly; asammdf completes a copy of others, for which it asks the
+    path, and leaves a broken object behind where that fails."""
+    stream = path.open("rb")
+    if stream.read(5) == b"UnFin":
+        stream.close()
+        return MDF(path)
+    stream.seek(0)
+    return MDF(stream)
+
+
+def _groups(path: Path, file: MDF, frames: set[int]) -> Iterator[Table]:
+    """The groups of measured channels that have a master."""
+    usual = [i for i in range(len(file.groups)) if i not in frames and file.groups[i].channel_group.cycles_nr]
+    often = Counter(one.name for i in usual for one in file.groups[i].channels if one.channel_type not in MASTERS)
+    clocks = Counter(_clock(file, i) for i in usual)
+    for i in usual:
+        channels = file.groups[i].channels
+        master = next((k for k, one in enumerate(channels) if one.channel_type in MASTERS), None)
+        if master is None:
+            continue
+        clock = _clock(file, i) if clocks[_clock(file, i)] == 1 else f"Group{i}"
+        names = {
+            k: one_line(one.name if often[one.name] == 1 else f"{clock}/{one.name}") for k, one in enumerate(channels)
+        }
+        names[master] = "t"
+        yield Table(
+            path=path,
+            columns=_Timed(path, file, i, {names[k]: k for k, one in enumerate(channels) if _holds_numbers(one)}),
+            time="t",
+            clock=clock,
+            units={"t": "s", **{names[k]: one.unit or "" for k, one in enumerate(channels) if k != master}},
+        )
+
+
+class _Timed(Columns):
+    """The same with `t`, the group's master [s]."""
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name != "t":
+            return super().__getitem__(name)
+        with foreign(self.path, "MDF"):
+            return np.asarray(self.file.get_master(self.group), dtype=float)
+
+
+def _holds_numbers(channel: Any) -> bool:
+    """Whether a channel is of whole numbers or floats (data types 0 to 5), or a master."""
+    return channel.data_type <= 5 or channel.channel_type in MASTERS
+
+
+def _clock(file: MDF, group: int) -> str:
+    """What a group is called: its acquisition's name, else its number."""
+    return one_line(getattr(file.groups[group].channel_group, "acq_name", None) or "").strip() or f"Group{group}"
+
+
+def _check_formulas(path: Path, file: MDF) -> None:
+    """Raise InputError for a conversion whose formula is more than arithmetic: libraries would execute it."""
+    for group in file.groups:
+        for channel in group.channels:
+            for formula in _formulas(channel.conversion, 0):
+                if not FORMULA.fullmatch(formula) or "**" in formula:
+                    said = f"has a conversion that is not evaluated: '{one_line(formula[:60])}'"
+                    raise InputError(f"{path}: channel '{one_line(channel.name)}' {said}")
+
+
+def _formulas(conversion: Any, depth: int) -> Iterator[str]:
+    """The formulas of a conversion and of those that it refers to."""
+    if conversion is None or depth > 8:
+        return
+    formula = getattr(conversion, "formula", "")
+    if formula:
+        yield str(formula)
+    for other in (getattr(conversion, "referenced_blocks", None) or {}).values():
+        if not isinstance(other, bytes | str):
+            yield from _formulas(other, depth + 1)
+
+
+def _frames(path: Path, file: MDF, group: int) -> Frames:
+    """The CAN frames of a group."""
+
+    def channel(name: str) -> np.ndarray | None:
+        indices = [k for k, one in enumerate(file.groups[group].channels) if one.name == f"{FRAME}.{name}"]
+        return np.asarray(file.get(None, group, indices[0], raw=True).samples) if indices else None
+
+    identifiers, data = channel("ID"), channel("DataBytes")
+    if identifiers is None or data is None or data.ndim != 2:
+        raise InputError(f"{path}: its CAN frames have no ID or no data bytes")
+    lengths = channel("DataLength")
+    bus = channel("BusChannel")
+    return Frames(
+        t=np.asarray(file.get_master(group), dtype=float),
+        identifiers=identifiers.astype(np.int64) & 0x1FFFFFFF,
+        data=data.astype(np.uint8),
+        lengths=np.full(len(identifiers), data.shape[1]) if lengths is None else lengths.astype(np.int64),
+        bus=np.zeros(len(identifiers), dtype=np.int64) if bus is None else bus.astype(np.int64),
+    )

@@ -1,0 +1,158 @@
+"""Text with a header line: CSV, and what data loggers write as CSV.
+
+A native file is a header and numbers. Loggers (MoTeC i2, AiM Race Studio) put a preamble of `name, value` lines before
+the header and a row of units after it; the numbers then begin at the first of two rows that are equally wide and hold
+mostly numbers, the nearest row of that width above is the header, or the units if another one stands above it.
+"""
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import StringIO
+from itertools import islice, pairwise
+from pathlib import Path
+
+import pandas as pd
+
+from vehicle_sbi.data.formats.lines import check_widths, text_lines
+from vehicle_sbi.data.formats.table import Table, foreign
+from vehicle_sbi.data.units import known_unit
+from vehicle_sbi.errors import InputError
+
+LONGEST_PREAMBLE = 500
+"""Lines among which the first numbers are sought."""
+
+TIMES = ("time_s", "time", "t", "timestamp", "elapsed time", "elapsed")
+"""Names of the time column, the first that a file has, whatever their case."""
+
+BRACKETS = r"[\[(]([^\[\]()]+)[\])]\s*$"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where a text's parts lie: names and units of its columns, and the index of its first line of numbers."""
+
+    separator: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    start: int
+
+
+def read(path: Path) -> tuple[Table, ...]:
+    """Rows of fields between commas, semicolons or tabs, below a header; InputError names the row that is wrong."""
+    lines = text_lines(path, "utf-8-sig")
+    layout = _logger(lines) or _plain(path, lines)
+    names = _distinct(layout.names)
+    rows = lines[layout.start :]
+    check_widths(path, _widths(rows, layout), len(names))
+    frame = _numbers(path, rows, names, layout.separator) if rows else pd.DataFrame(columns=names)
+    columns = {str(name): frame[name] for name in frame}
+    units = _units(names, layout.units)
+    return (Table(path=path, columns=columns, time=_time(names), first_row=layout.start + 1, units=units),)
+
+
+def _numbers(path: Path, rows: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
+    """The rows as columns; a comma is the decimal mark where other separators allow it and the first row has one."""
+    decimal = "," if separator != "," and "," in rows[0] and "." not in rows[0] else "."
+    text, columns = StringIO("\n".join(rows)), list(names)
+    with foreign(path, "CSV"):
+        return pd.read_csv(
+            text, sep=separator, names=columns, header=None, index_col=False,
+            skip_blank_lines=False, skipinitialspace=True, decimal=decimal,
+        )  # fmt: skip
+
+
+def _units(names: Sequence[str], units: Sequence[str]) -> dict[str, str]:
+    """The units by column: those of the row of units, or known ones in brackets at the end of a name."""
+    in_brackets = {name: found[1] for name in names if (found := re.search(BRACKETS, name)) and known_unit(found[1])}
+    return in_brackets | {name: unit for name, unit in zip(names, units, strict=False) if unit}
+
+
+def _plain(path: Path, lines: Sequence[str]) -> Layout:
+    """A header in the first line and numbers below it."""
+    separator = _separator(lines[0])
+    names = _fields(lines[0], separator)
+    if len(names) == 1:
+        raise InputError(f"{path}: row 1: is no CSV, its header has no comma, semicolon or tab: '{lines[0][:40]}'")
+    return Layout(separator=separator, names=tuple(names), units=(), start=1)
+
+
+def _logger(lines: Sequence[str]) -> Layout | None:
+    """The layout of a text with a preamble or a row of units; None if numbers follow its first line, or never do."""
+    separator = _separator(max(islice(lines, LONGEST_PREAMBLE), key=lambda line: len(_fields(line, _separator(line)))))
+    rows = [_fields(line, separator) for line in islice(lines, LONGEST_PREAMBLE)]
+    start = _first_numbers(rows)
+    if start is None or start == 1:
+        return None
+    width = len(rows[start])
+    above = [i for i in range(start) if len(rows[i]) == width and any(rows[i])][-2:]
+    if not above:
+        return None
+    has_units = len(above) == 2 and _are_units(rows[above[1]]) and not _are_units(rows[above[0]])
+    names = rows[above[0]] if has_units else rows[above[-1]]
+    units = tuple(rows[above[1]]) if has_units else ()
+    return Layout(separator=separator, names=tuple(names), units=units, start=start)
+
+
+def _first_numbers(rows: Sequence[list[str]]) -> int | None:
+    """The first of two rows that are equally wide and hold mostly numbers, blank rows between them left out."""
+    filled = [i for i, row in enumerate(rows) if any(row)]
+    for i, following in pairwise(filled):
+        if len(rows[i]) == len(rows[following]) > 1 and _are_numbers(rows[i]) and _are_numbers(rows[following]):
+            return i
+    return None
+
+
+def _are_numbers(row: Sequence[str]) -> bool:
+    return 2 * sum(map(_is_number, row)) > sum(map(bool, row))
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    """Whether a row is one of units: of time in its first field, or known ones in half of those that are filled."""
+    filled = [field for field in row if field]
+    first = known_unit(filled[0]) if filled else None
+    known = sum(known_unit(field) is not None for field in filled)
+    return bool(filled) and ((first is not None and first[0] == "s") or 2 * known >= len(filled))
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _separator(line: str) -> str:
+    return max(",;\t", key=line.count)
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), []) if '"' in line else None
+    return [field.strip() for field in (line.split(separator) if fields is None else fields)]
+
+
+def _widths(rows: Sequence[str], layout: Layout) -> list[tuple[int, int]]:
+    """The number and the fields of each row; separators between quotes separate nothing."""
+    separator = layout.separator
+    return [
+        (i, len(_fields(line, separator)) if '"' in line else line.count(separator) + 1)
+        for i, line in enumerate(rows, layout.start + 1)
+    ]
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """Names of which none comes twice: the second `x` is called `x (2)`."""
+    counts: dict[str, int] = {}
+    distinct = []
+    for name in names:
+        counts[name] = counts.get(name, 0) + 1
+        distinct.append(name if counts[name] == 1 else f"{name} ({counts[name]})")
+    return distinct
+
+
+def _time(names: Sequence[str]) -> str:
+    """The column of time: the first usual name that is there, and `time_s` if none is."""
+    lower = {re.sub(BRACKETS, "", name).strip().lower(): name for name in reversed(names)}
+    return next((lower[name] for name in TIMES if name in lower), "time_s")

@@ -1,0 +1,157 @@
+"""Contents of a file: its tables, each on its own clock, with rates and gaps, and the columns that hold numbers."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from vehicle_sbi.data.formats.registry import read_tables
+from vehicle_sbi.data.formats.table import Table
+from vehicle_sbi.data.inspection.units import called, si, split
+from vehicle_sbi.errors import InputError
+
+TIMES = r"(time|time_?stamp|t|elapsed.*|utc.*|header_stamp|.*_time|time_.*)"
+FASTEST = (("ns", 9e5), ("us", 900.0), ("ms", 2.0))  # usual step from which times are in a unit: 0.9 ms to 2 s
+GAP = 0.1, 2.5  # [s] and usual steps that a gap lasts at least, as the reading of recordings has it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """A column of numbers: unit in the words of `data.units` (None: not said), range, and share of empty rows [1]."""
+
+    name: str
+    clock: str
+    unit: str | None
+    unit_from: str
+    low: float
+    high: float
+    absent: float
+    values: Float[np.ndarray, " rows"]
+
+    @property
+    def address(self) -> str:
+        """How a mapping names it: with its clock where the file has several."""
+        return f"{self.clock}/{self.name}" if self.clock else self.name
+
+    @property
+    def varies(self) -> bool:
+        return self.high > self.low
+
+    @property
+    def largest(self) -> float:
+        """The largest size of 95 % of its values."""
+        return float(np.nanquantile(np.abs(self.values), 0.95))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """A table's times: column and unit, span [s], rate [Hz], and its gaps, each with start and length [s].
+
+    `usual`: readers take this column by themselves. `back` counts steps that do not go on.
+    """
+
+    name: str
+    time: str
+    usual: bool
+    time_unit: str
+    rows: int
+    start: float
+    span: float
+    rate: float
+    gaps: tuple[tuple[float, float], ...]
+    back: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """What a table holds: its clock, its columns of numbers, and the names of those that hold none."""
+
+    clock: Clock
+    columns: tuple[Column, ...]
+    other: tuple[str, ...]
+
+
+def contents(path: Path, *, time: str | None = None, dbc: str | None = None) -> tuple[Contents, ...]:
+    """What a file holds, table by table; InputError if it cannot be read or a table has no times."""
+    return tuple(_contents(table, time) for table in read_tables(path, dbc))
+
+
+def _contents(table: Table, time: str | None) -> Contents:
+    clock = _clock(table, time)
+    columns, other = [], []
+    for column in map(str, table.columns):
+        if column == clock.time:
+            continue
+        found = _column(table, column)
+        other.append(column) if found is None else columns.append(found)
+    return Contents(clock=clock, columns=tuple(columns), other=tuple(other))
+
+
+def _column(table: Table, column: str) -> Column | None:
+    """A column of numbers, None where it holds none."""
+    try:
+        values = table.numbers(column)
+    except InputError:
+        return None
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return None
+    unit, source = _unit(table, column)
+    return Column(
+        name=column, clock=table.clock, unit=unit, unit_from=source, low=float(known.min()), high=float(known.max()),
+        absent=float(1.0 - len(known) / len(values)), values=values,
+    )  # fmt: skip
+
+
+def _unit(table: Table, column: str) -> tuple[str | None, str]:
+    """A column's unit and who says so: the file or the name."""
+    said = called(table.unit(column))
+    if said is not None:
+        return said, "in the file"
+    named = split(column)[1]
+    return named, "from the name" if named else "not said"
+
+
+def _clock(table: Table, asked: str | None) -> Clock:
+    """The clock of a table, its unit from the name or from the usual step."""
+    time = asked or _time_column(table)
+    values = table.numbers(time)
+    values = values[np.isfinite(values)]
+    if len(values) < 3:
+        raise InputError(f"{table.path}: column '{time}' holds {len(values)} times; a recording needs at least 3")
+    steps = np.diff(values)
+    usual = float(np.median(steps))
+    said = called(table.unit(time)) or split(time, is_time=True)[1]
+    unit = said if said and si(said)[0] == "s" else next((u for u, least in FASTEST if usual > least), "s")
+    t, steps = values * si(unit)[1], steps * si(unit)[1]
+    step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
+    long = np.flatnonzero(steps > max(GAP[0], GAP[1] * step))
+    return Clock(
+        name=table.clock,
+        time=time,
+        usual=time == table.time,
+        time_unit=unit,
+        rows=len(values),
+        start=float(t[0]),
+        span=float(t[-1] - t[0]),
+        rate=1.0 / step,
+        gaps=tuple((float(t[k]), float(steps[k])) for k in long),
+        back=int((steps <= 0.0).sum()),
+    )
+
+
+def _time_column(table: Table) -> str:
+    """The column of times: the format's own, else one that is called so."""
+    if table.has(table.time):
+        return table.time
+    named = [
+        name for name in map(str, table.columns) if re.fullmatch(TIMES, split(name, is_time=True)[0].strip().lower())
+    ]
+    if not named:
+        listed = ", ".join(list(map(str, table.columns))[:12])
+        raise InputError(
+            f"{table.path}: no column of times is recognised among {listed}; name it with recording.time=COLUMN"
+        )
+    return named[0]

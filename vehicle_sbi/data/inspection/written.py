@@ -1,0 +1,136 @@
+"""Files to edit after an inspection: NAME.mapping.yaml, which reading takes, and NAME.vehicle.yaml.
+
+What every car's papers say (mass, wheelbase, steering ratio) stands there as a text that no run accepts; the rest may
+stay unknown.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from vehicle_sbi.data.channels import CHANNELS
+from vehicle_sbi.data.inspection.guess import Guess
+from vehicle_sbi.data.inspection.inspection import Inspection, source_of
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.files import write_text
+from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, IMU_PRIORS
+
+PRIORS = {**GENERIC_PRIORS, **BODY_PRIORS, **IMU_PRIORS}
+UNEDITED = "a number, or null"
+RADIUS = 0.3  # [m], only to show where it goes: the line is a comment
+CONSTANTS: Mapping[str, str] = {
+    "m": "mass as driven",
+    "L": "wheelbase",
+    "steering_ratio": "steering wheel angle to road wheel angle",
+    "l_f": "front axle to centre of gravity",
+    "h_cog": "height of the centre of gravity",
+    "I_z": "yaw inertia",
+    "C_alpha_f": "cornering stiffness, front axle",
+    "C_alpha_r": "cornering stiffness, rear axle",
+    "C_kappa_f": "longitudinal stiffness, front axle",
+    "C_kappa_r": "longitudinal stiffness, rear axle",
+    "mu": "friction coefficient",
+    "R_f": "free tyre radius",
+    "I_wf": "front wheels and what turns with them",
+    "I_wr": "rear wheels and what turns with them",
+    "drive_front": "share of the drive torque on the front axle: 1 front, 0 rear",
+    "brake_front": "share of the brake torque on the front axle",
+    "imu_x": "IMU ahead of the rear axle; null: at the centre of gravity",
+    "imu_y": "IMU left of the middle",
+    "imu_z": "IMU above the ground",
+    "track_f": "front track",
+    "track_r": "rear track",
+    "m_s": "sprung mass",
+    "I_x": "roll inertia of the sprung mass",
+    "I_y": "pitch inertia of the sprung mass",
+    "h_roll": "roll axis under the centre of gravity",
+    "h_pitch": "height of the pitch axis",
+    "K_roll": "roll stiffness, both axles",
+    "D_roll": "roll damping, both axles",
+    "roll_front": "front axle's share of the roll stiffness",
+    "K_pitch": "pitch stiffness",
+    "D_pitch": "pitch damping",
+    "C_vert": "vertical stiffness of one tyre; .inf: rigid",
+    "K": "lateral carcass stiffness of an axle; .inf: slips without relaxation",
+}
+"""What each constant of a vehicle is, in the order of the file; from track_f on, what only the full vehicle has."""
+
+UNITS = {
+    "I_z": "kg m^2",
+    "C_vert": "N/m",
+    "K": "N/m",
+    **dict.fromkeys(("steering_ratio", "drive_front", "brake_front"), "1"),
+}
+USUAL = {"drive_front": "1.0", "brake_front": "0.6", "C_vert": ".inf", "K": ".inf"}
+
+
+def write(inspection: Inspection, folder: Path, *, overwrite: bool = False) -> tuple[Path, Path]:
+    """Write the mapping and the vehicle file; InputError, and nothing written, where one of them exists."""
+    stem = inspection.path.stem
+    files = {
+        folder / f"{stem}.mapping.yaml": mapping_text(inspection),
+        folder / f"{stem}.vehicle.yaml": vehicle_text(stem, steered="steering_wheel" in inspection.channels),
+    }
+    existing = [path for path in files if path.exists()]
+    if existing and not overwrite:
+        listed = " and ".join(map(str, existing))
+        raise InputError(f"{listed}: exists, left as it is; overwrite=true replaces it, to=FOLDER writes elsewhere")
+    for path, text in files.items():
+        write_text(path, text)
+    mapping, vehicle = files
+    return mapping, vehicle
+
+
+def mapping_text(inspection: Inspection) -> str:
+    """The guessed mapping, a line a channel, with how sure it is and what else there is."""
+    absent = [name for name in CHANNELS if name not in [one.channel for one in inspection.guesses]]
+    return "\n".join(
+        [
+            f"# Which column of {inspection.path.name} holds which channel, as its names suggest: check each line.",
+            "# value = sign (scale unit(column) + offset), the offset in SI; group: imu, can or wheel_speed.",
+            "# Signs are ISO 8855: x forward, y left, z up; steering and yaw rate positive to the left.",
+            *map(_line, inspection.guesses),
+            f"# not recognised: {', '.join(absent)}",
+            "",
+        ]
+    )
+
+
+def vehicle_text(name: str, *, steered: bool) -> str:
+    """Every constant of a vehicle with its unit; unknown ones are null, and a prior stands for them."""
+    return "\n".join([*_vehicle_lines(name, steered), ""])
+
+
+def _line(one: Guess) -> str:
+    settings = source_of(one) | ({"wheel_radius": RADIUS} if one.needs_radius else {})
+    listed = ", ".join(f"{key}: {_yaml(value)}" for key, value in settings.items())
+    why = "" if one.unit is None else f", unit {one.unit_from}"
+    others = f"; or {', '.join(one.alternatives)}" if one.alternatives else ""
+    radius = "; the rim's speed: uncomment with the wheel's radius [m]" if one.needs_radius else ""
+    return f"{'# ' if one.needs_radius else ''}{one.channel}: {{{listed}}} # {one.sure}{why}{others}{radius}"
+
+
+def _yaml(value: object) -> str:
+    """A value inside braces, a text in quotes unless it is a plain word."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_yaml, value))}]"
+    text = str(value)
+    plain = not isinstance(value, str) or re.fullmatch(r"[A-Za-z_][\w/²]*( m)?", text)
+    return text if plain and text.lower() not in ("yes", "no", "on", "off", "y", "n", "null", "true", "false") else (
+        json.dumps(text, ensure_ascii=False)
+    )  # fmt: skip
+
+
+def _vehicle_lines(name: str, steered: bool) -> Iterator[str]:
+    yield f"# The vehicle of {name}: fill in what you know. null: not known, a prior over the range stands for it."
+    yield f"name: {_yaml(name)}"
+    for constant, what in CONSTANTS.items():
+        if constant == "track_f":
+            yield "# from here on, what only model=full_vehicle has"
+        asked = constant in ("m", "L") or (constant == "steering_ratio" and steered)
+        prior = PRIORS.get(constant)
+        unit = UNITS.get(constant) or (prior.unit if prior else "1")
+        span = f"; usually {prior.low:g} to {prior.high:g}" if prior and constant not in IMU_PRIORS else ""
+        value = json.dumps(UNEDITED) if asked else USUAL.get(constant, "null")
+        yield f"{constant}: {value} # [{unit}] {what}{span}"
