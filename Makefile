@@ -20,7 +20,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install run test test-all lint format bench bench-simulator clean
+.PHONY: help install run test test-all wheel lint format bench bench-simulator clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /make \1\t/' | expand -t 22
@@ -35,6 +35,15 @@ test: $(STAMP)  ## the tests that take seconds
 
 test-all: $(STAMP)  ## every test, the slow ones included
 	@$(PY) -m pytest $(SPREAD) -m "slow or not slow" $(ARGS)
+
+wheel: $(STAMP)  ## the wheel, tried in an environment of its own outside the checkout: a quick study and the demo
+	@rm -rf build/wheel && mkdir -p build/wheel
+	@$(PY) -m pip wheel -q --no-deps -w build/wheel . && $(PYTHON) -m venv build/wheel/env
+	@test -z "$(TORCH_INDEX)" || build/wheel/env/bin/python -m pip install -q --disable-pip-version-check --retries 0 \
+		--timeout 15 --no-deps -c constraints.txt --index-url $(TORCH_INDEX) torch >/dev/null 2>&1 || true
+	@build/wheel/env/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt build/wheel/*.whl
+	@cd $$(mktemp -d) && $(CURDIR)/build/wheel/env/bin/vehicle-sbi run experiment=smoke && \
+		$(CURDIR)/build/wheel/env/bin/vehicle-sbi demo
 
 lint: $(STAMP)  ## style, formatting and types
 	@$(PY) -m ruff check

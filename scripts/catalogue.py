@@ -1,4 +1,7 @@
-"""docs/effects.md: the catalogue of effects, its equations, parameters and pictures, written anew."""
+"""The catalogue of effects, written anew as docs/effects.md: equations, parameters and pictures.
+
+python scripts/catalogue.py folder=docs
+"""
 
 from _entry import launch  # first: it sets the number of threads
 

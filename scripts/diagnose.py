@@ -1,6 +1,7 @@
 """Where simulation and recordings differ, what physics was left out, and whether modelling it helps on held-out data.
 
-python scripts/diagnose.py recordings=[a.csv,b.csv] heldout=[c.csv] vehicle=car.yaml
+python scripts/diagnose.py recording=drive.csv vehicle=car.yaml
+python scripts/diagnose.py 'recordings=[a.csv,b.csv]' 'heldout=[c.csv]' vehicle=car.yaml
 python scripts/diagnose.py recording=volvo_s90_slalom
 """
 

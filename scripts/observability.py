@@ -1,6 +1,6 @@
 """What a manoeuvre or a recording could tell of the parameters, and of the physics left out, without any inference.
 
-python scripts/observability.py manoeuvre=paper_strong effects=[body_roll,accelerometer_scale]
+python scripts/observability.py manoeuvre=paper_strong 'effects=[body_roll,accelerometer_scale]'
 """
 
 from _entry import launch  # first: it sets the number of threads

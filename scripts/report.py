@@ -1,6 +1,6 @@
 """Gather run folders: one table, as the paper's Table II, and an index page over runs and diagnoses alike.
 
-python scripts/report.py runs=[outputs/sweep]
+python scripts/report.py runs=outputs/sweep
 """
 
 from _entry import launch

@@ -69,7 +69,7 @@ def test_a_file_without_time_is_refused(tmp_path):
 def comma2k19(folder: Path) -> Path:
     def log(name: str, step: float, *columns: Any) -> None:
         (folder / name).mkdir(parents=True)
-        values = np.stack(columns, axis=1) if len(columns) > 1 else columns[0]
+        values = np.stack(columns, axis=1) if len(columns) > 1 else next(iter(columns))
         for file, array in (("t", 1000.0 + np.arange(0.0, 6.0, step)), ("value", values)):
             with (folder / name / file).open("wb") as stream:
                 np.save(stream, array)

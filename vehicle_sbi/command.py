@@ -37,7 +37,7 @@ class Verb:
     @property
     def sentence(self) -> str:
         """What it does, in the first sentence of the script's docstring unless it is said here."""
-        return self.says or _docstring(self.path).partition("\n\n")[0].replace("\n", " ").partition(":")[0].rstrip(".")
+        return self.says or _docstring(self.path).partition("\n\n")[0].replace("\n", " ").rstrip(".")
 
     def arguments(self, typed: Sequence[str]) -> list[str]:
         """The script's arguments: a file alone becomes the value of its key."""
