@@ -1,5 +1,6 @@
-"""The README's figures of the benchmark are those that stand in its results."""
+"""Figures of the benchmarks in README and docs are those that stand in their results."""
 
+import re
 from itertools import takewhile
 from pathlib import Path
 
@@ -13,9 +14,33 @@ def table(lines: list[str], head: str) -> list[str]:
 
 
 def test_rows_of_the_benchmark_are_those_of_its_page() -> None:
-    files = (ROOT / "README.md", ROOT / "benchmarks" / "results" / "concealed.md")
+    files = (ROOT / "docs" / "accuracy.md", ROOT / "benchmarks" / "results" / "concealed.md")
     readme, page = (file.read_text(encoding="utf-8").splitlines() for file in files)
     for head in TABLES:
         rows = table(readme, head)
         assert len(rows) > 3  # a head, a rule and more than one row
         assert [row for row in rows if row not in table(page, head)] == []
+
+
+def test_the_readme_is_short_and_its_six_numbers_are_those_of_the_development_cars() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    page = (ROOT / "benchmarks" / "results" / "whole_car_development.md").read_text(encoding="utf-8")
+    measured = {
+        row.split("|")[1].strip(): row.split("|")[2].split()[0] for row in page.splitlines() if row.count("|") > 6
+    }
+    error, held = "base parameters: relative error, median, ", "their 90 % intervals hold the truth, "
+    assert len(readme.split()) < 800
+    for row in (
+        f"before, after | {measured[error + 'base model']}, {measured[error + 'after diagnosis']} |",
+        f"before, after | {measured[held + 'base model']}, {measured[held + 'after diagnosis']} |",
+        f"are named | {measured['effects with SNR 8 beyond all others: inclusion above 0.5']} |",
+        f"probabilities | {measured['calibration error of inclusion probabilities above 0']} |",
+    ):
+        assert row in readme
+
+
+def test_every_link_of_the_docs_leads_to_a_file() -> None:
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
+        missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
+        assert not missing, f"{page.name}: {missing}"
