@@ -1,6 +1,8 @@
 """MDF4 comes back as the drive, a clock a group, and nothing of a file is executed."""
 
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +61,17 @@ def test_a_group_is_a_clock_and_names_are_qualified_where_they_come_twice(tmp_pa
     assert set(motion.columns) == {"t", "Steer", "Yaw", "LatAcc", "Motion/Speed"}
     assert motion.has("Motion/Steer")
     assert chassis.unit("Chassis/Speed") == "kph"
+
+
+def test_measured_channels_need_no_library_of_can(tmp_path):
+    """The extra `mdf` alone reads a file that holds no raw frames."""
+    code = (
+        "import sys; sys.modules.update(can=None, cantools=None)\n"
+        "from vehicle_sbi.data.formats.registry import read_tables\n"
+        f"print([one.clock for one in read_tables({str(written(tmp_path))!r})])"
+    )
+    said = subprocess.check_output([sys.executable, "-c", code], cwd=Path(__file__).parent.parent, text=True)
+    assert said == "['Motion', 'Chassis']\n"
 
 
 def test_a_unit_that_is_none_of_the_channel_is_refused_unless_the_mapping_says_another(tmp_path):

@@ -7,7 +7,7 @@ raw CAN frames are decoded with a database.
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from asammdf import MDF
 
-from vehicle_sbi.data.formats.can_frames import Frames, decoded
 from vehicle_sbi.data.formats.mdf_blocks import check_blocks
 from vehicle_sbi.data.formats.registry import CAN
 from vehicle_sbi.data.formats.table import Table, foreign, one_line
@@ -64,13 +63,7 @@ def read(path: Path, dbc: Path | None) -> tuple[Table, ...]:
         frames = [i for i, group in enumerate(file.groups) if any(one.name == FRAME for one in group.channels)]
         measured = tuple(_groups(path, file, set(frames)))
     if dbc is not None:
-        with foreign(path, "MDF"):
-            found = [_frames(path, file, i) for i in frames if file.groups[i].channel_group.cycles_nr]
-        if not found:
-            raise InputError(f"{path}: a dbc is given, but the file holds no raw CAN frames")
-        joined = Frames.joined(found)
-        start = 0.0 if measured else joined.t[0]  # a log of frames alone begins with its first
-        return (*decoded(path, replace(joined, t=joined.t - start), dbc), *measured)
+        return (*_decoded(path, file, frames, dbc, alone=not measured), *measured)
     if not measured:
         raw = "raw CAN frames only: recording.dbc=FILE.dbc says what they mean" if frames else "no group of numbers"
         raise InputError(f"{path}: holds {raw}")
@@ -154,8 +147,20 @@ def _formulas(conversion: Any, depth: int) -> Iterator[str]:
             yield from _formulas(other, depth + 1)
 
 
-def _frames(path: Path, file: MDF, group: int) -> Frames:
-    """The CAN frames of a group."""
+def _decoded(path: Path, file: MDF, groups: Sequence[int], dbc: Path, *, alone: bool) -> tuple[Table, ...]:
+    """The messages in groups of raw frames; `alone`, their time begins with the first frame, else with the file's."""
+    from vehicle_sbi.data.formats.can_frames import Frames, decoded  # which measured channels do without
+
+    with foreign(path, "MDF"):
+        found = [Frames(**_frames(path, file, i)) for i in groups if file.groups[i].channel_group.cycles_nr]
+    if not found:
+        raise InputError(f"{path}: a dbc is given, but the file holds no raw CAN frames")
+    joined = Frames.joined(found)
+    return decoded(path, replace(joined, t=joined.t - (joined.t[0] if alone else 0.0)), dbc)
+
+
+def _frames(path: Path, file: MDF, group: int) -> dict[str, np.ndarray]:
+    """The CAN frames of a group, by the fields of `Frames`."""
 
     def channel(name: str) -> np.ndarray | None:
         indices = [k for k, one in enumerate(file.groups[group].channels) if one.name == f"{FRAME}.{name}"]
@@ -166,10 +171,10 @@ def _frames(path: Path, file: MDF, group: int) -> Frames:
         raise InputError(f"{path}: its CAN frames have no ID or no data bytes")
     lengths = channel("DataLength")
     bus = channel("BusChannel")
-    return Frames(
-        t=np.asarray(file.get_master(group), dtype=float),
-        identifiers=identifiers.astype(np.int64) & 0x1FFFFFFF,
-        data=data.astype(np.uint8),
-        lengths=np.full(len(identifiers), data.shape[1]) if lengths is None else lengths.astype(np.int64),
-        bus=np.zeros(len(identifiers), dtype=np.int64) if bus is None else bus.astype(np.int64),
-    )
+    return {
+        "t": np.asarray(file.get_master(group), dtype=float),
+        "identifiers": identifiers.astype(np.int64) & 0x1FFFFFFF,
+        "data": data.astype(np.uint8),
+        "lengths": np.full(len(identifiers), data.shape[1]) if lengths is None else lengths.astype(np.int64),
+        "bus": np.zeros(len(identifiers), dtype=np.int64) if bus is None else bus.astype(np.int64),
+    }
