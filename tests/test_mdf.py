@@ -4,6 +4,7 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 from asammdf import MDF, Signal
 from foreign_drive import DRIVE, PNG, assert_is_the_drive, cut_at, damaged, refused
 
+from vehicle_sbi.data.formats.mdf import _formulas
 from vehicle_sbi.data.formats.registry import read_tables
 from vehicle_sbi.data.readers import RecordingFile
+from vehicle_sbi.errors import InputError
 
 MAPPING = {
     "steering": {"column": "Steer", "sign": -1},
@@ -97,6 +100,16 @@ def test_formulas_are_not_executed(tmp_path, formula, monkeypatch):
     path = written(tmp_path, conversion={"formula": formula})
     refused(path, mapping={"v_x": {"column": "Motion/Speed", "unit": "m/s"}})
     assert not (tmp_path / "executed").exists()
+
+
+def test_a_formula_is_found_however_deep_it_lies():
+    def nested(depth: int) -> SimpleNamespace:
+        inner = nested(depth - 1) if depth else None
+        return SimpleNamespace(formula="" if depth else "hostile", referenced_blocks={"default_addr": inner})
+
+    assert list(_formulas(Path("drive.mf4"), nested(8), 0)) == ["hostile"]
+    with pytest.raises(InputError, match="more than 8 times: they are not evaluated"):
+        list(_formulas(Path("drive.mf4"), nested(9), 0))
 
 
 def test_formulas_of_arithmetic_count(tmp_path):

@@ -326,8 +326,10 @@ def one_round(problem: Problem, scheme: Scheme, before: Inference, *, quiet: boo
     plan = scheme.plan(problem, before)
     theta = [*(r.theta.numpy() for r in before.rounds), plan.theta]
     summary = fit_features(problem, theta, k if scheme.fresh or problem.features.recentred else 0, fiducial)
-    data, failed = [], 0
-    with tqdm(total=sum(map(len, plan.rows)), desc=f"{name} simulating", unit="sim", disable=quiet or None, leave=False) as bar:
+    data, failed, hidden = [], 0, quiet or None  # None: hidden where there is no terminal
+    with tqdm(
+        total=sum(map(len, plan.rows)), desc=f"{name} simulating", unit="sim", disable=hidden, leave=False
+    ) as bar:
         for j, rows in enumerate(plan.rows):
             if not len(rows):  # an early round has none inside a narrow support
                 continue
@@ -336,7 +338,7 @@ def one_round(problem: Problem, scheme: Scheme, before: Inference, *, quiet: boo
             failed = int((~good).sum())
     if sum(len(d.theta) for d in data) < LEAST_SIMULATIONS:
         raise InputError(f"{name}: nearly all simulations fail; the prior lies where the vehicle spins out")
-    with tqdm(desc=f"{name} training", unit=" epochs", disable=quiet or None, leave=False) as bar:
+    with tqdm(desc=f"{name} training", unit=" epochs", disable=hidden, leave=False) as bar:
 
         def seen(epoch: int, loss: float) -> None:
             bar.set_postfix(validation_loss=f"{loss:.3f}", refresh=False)

@@ -22,6 +22,7 @@ from vehicle_sbi.errors import InputError
 
 FRAME = "CAN_DataFrame"
 MASTERS = (2, 3)  # channel types of masters and virtual masters
+DEEPEST = 8  # conversions that refer to others
 FORMULA = re.compile(
     r"(?>\s+|\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|X1?\b|[-+*/(),]|(?:sin|cos|tan|exp|log|log10|sqrt|abs)\b)*+"
 )
@@ -129,22 +130,24 @@ def _check_formulas(path: Path, file: MDF) -> None:
     """Raise InputError for a conversion whose formula is more than arithmetic: libraries would execute it."""
     for group in file.groups:
         for channel in group.channels:
-            for formula in _formulas(channel.conversion, 0):
+            for formula in _formulas(path, channel.conversion, 0):
                 if not FORMULA.fullmatch(formula) or "**" in formula:
                     said = f"has a conversion that is not evaluated: '{one_line(formula[:60])}'"
                     raise InputError(f"{path}: channel '{one_line(channel.name)}' {said}")
 
 
-def _formulas(conversion: Any, depth: int) -> Iterator[str]:
+def _formulas(path: Path, conversion: Any, depth: int) -> Iterator[str]:
     """The formulas of a conversion and of those that it refers to."""
-    if conversion is None or depth > 8:
+    if conversion is None:
         return
+    if depth > DEEPEST:
+        raise InputError(f"{path}: conversions refer to each other more than {DEEPEST} times: they are not evaluated")
     formula = getattr(conversion, "formula", "")
     if formula:
         yield str(formula)
     for other in (getattr(conversion, "referenced_blocks", None) or {}).values():
         if not isinstance(other, bytes | str):
-            yield from _formulas(other, depth + 1)
+            yield from _formulas(path, other, depth + 1)
 
 
 def _decoded(path: Path, file: MDF, groups: Sequence[int], dbc: Path, *, alone: bool) -> tuple[Table, ...]:
