@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from vehicle_sbi.command import PACKAGE
+from vehicle_sbi.command import RECORDINGS
 
-TO = PACKAGE / "recordings"
 FROM_S, TO_S = 40.0, 120.0
 COLUMNS = {"road_wheel_angle_rad": "steering_rad"}
 LEFT_OUT = ["sideslip_rad"]  # which is v_y over v_x
@@ -21,9 +20,9 @@ def main(folder: Path) -> None:
     whole = pd.read_csv(folder / "targa66_first_300s.csv")
     part = whole[whole["time_s"].between(FROM_S, TO_S)].rename(columns=COLUMNS).drop(columns=LEFT_OUT)
     part.astype({name: "float32" for name in part.columns if name != "time_s"}).to_parquet(
-        TO / "ferrari_250lm_excerpt.parquet", index=False
+        RECORDINGS / "ferrari_250lm_excerpt.parquet", index=False
     )
-    shutil.copyfile(folder / "LICENSE", TO / "ferrari_250lm_LICENSE")
+    shutil.copyfile(folder / "LICENSE", RECORDINGS / "ferrari_250lm_LICENSE")
 
 
 if __name__ == "__main__":

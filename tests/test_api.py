@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from vehicle_sbi import diagnose, identify, read, simulate
-from vehicle_sbi.command import PACKAGE
+from vehicle_sbi.command import RECORDINGS
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.physics.vehicle import GRAVITY
 
-SHIPPED = PACKAGE / "recordings" / "ferrari_250lm_excerpt.parquet"
+SHIPPED = RECORDINGS / "ferrari_250lm_excerpt.parquet"
 
 
 def test_importing_the_package_loads_nothing_heavy() -> None:

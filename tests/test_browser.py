@@ -1,6 +1,6 @@
 """Pages in a real browser: nothing from the network, no error, zoom, buttons and keys work, no sideways scrolling.
 
-Needs Debian's chromium and chromium-driver, and selenium; without them the tests are skipped, and say so.
+Needs Debian's chromium and chromium-driver; without them the tests are skipped, and say so.
 """
 
 import json
@@ -11,17 +11,14 @@ from typing import Any
 
 import pytest
 from pages import diagnosis_page, run_page
+from selenium.webdriver import ActionChains, Chrome, ChromeOptions, Keys
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.ui import WebDriverWait
 
 from vehicle_sbi.report.page.index import rows, write_index
 
-selenium = pytest.importorskip("selenium", reason="selenium is not installed: pip install selenium")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-
-from selenium.webdriver import ActionChains, Chrome, ChromeOptions, Keys  # noqa: E402
-from selenium.webdriver.chrome.service import Service  # noqa: E402
-from selenium.webdriver.common.by import By  # noqa: E402
-from selenium.webdriver.support.ui import WebDriverWait  # noqa: E402
-
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium here: apt-get install chromium chromium-driver"),

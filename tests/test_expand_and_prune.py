@@ -12,7 +12,7 @@ from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import linear_gaussian, order
 from vehicle_sbi.mismatch.hypotheses.discrepancy import discrepancies, responses
-from vehicle_sbi.mismatch.selection.expand_and_prune import Budget, Pruned, expand_and_prune
+from vehicle_sbi.mismatch.selection.expand_and_prune import Budget, Pruned, _Round, _simulated, expand_and_prune
 from vehicle_sbi.mismatch.selection.inclusion import Chain
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
@@ -104,3 +104,34 @@ def test_what_is_believed_to_be_rare_is_named_less(base: Fit) -> None:
     assert found is not None
     assert usual is not None
     assert found.effects["body_roll"] <= usual.effects["body_roll"] + 0.05
+
+
+def test_a_next_start_is_as_far_on_the_way_as_the_car_can_be_simulated(expanded: tuple[Expansion, Fit]) -> None:
+    expansion, fit = expanded
+    near = fit.theta + 0.01 * (expansion.rest - fit.theta)
+    assert _simulated(fit, near) == pytest.approx(near)
+    spun = fit.theta.copy()  # the rear axle cannot hold a car whose mass lies there
+    for name, value in {"l_f": 2.4, "delta_C_alpha_r": -0.9}.items():
+        spun[expansion.space.column(name)] = value
+    assert not np.isfinite(fit.simulator.noise_free(spun[None])).all()
+    start = _simulated(fit, spun)
+    share = (start - fit.theta)[spun != fit.theta] / (spun - fit.theta)[spun != fit.theta]
+    assert np.ptp(share) < 1e-9
+    assert 0.0 <= share[0] < 1.0
+    assert np.isfinite(fit.simulator.noise_free(start[None])).all()
+
+
+def test_a_friction_that_is_stated_too_high_is_found_although_nothing_changes_near_it() -> None:
+    # Tyres of the stated friction hardly bend in this drive, those of 0.4 of it slide; l_f takes it up meanwhile.
+    base = fitted(recorded(lateral(seconds=12.0), friction_level__factor=0.4))
+    known = [d for d in left_out(base.simulator, base.theta) if d.effect in ("friction_level", "gyro_bias")]
+    asleep = [d.parameter for d in known if d.asleep]
+    assert [p.name for p in asleep] == ["friction_level.factor"]
+    now = _Round.first(base, Expansion.of(base.simulator.space, known, stated()))
+    unaware, woken = now.first_fit([]), now.first_fit(asleep)
+    assert unaware is not None
+    assert woken is not None
+    assert woken.log_likelihood > unaware.log_likelihood + 100.0  # of 5 standard deviations there are 12.5
+    at, space = dict(zip(woken.simulator.space.names, woken.theta, strict=True)), woken.simulator.space
+    assert at["friction_level.factor"] * at["friction_level.front"] == pytest.approx(0.4, rel=0.1)
+    assert abs(at["l_f"] - TRUTH[0]) < 4.0 * np.sqrt(woken.covariance[space.column("l_f"), space.column("l_f")])

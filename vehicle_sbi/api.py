@@ -16,7 +16,7 @@ import pandas as pd
 import yaml
 from matplotlib.figure import Figure
 
-from vehicle_sbi.command import PACKAGE
+from vehicle_sbi.command import CONF
 from vehicle_sbi.data.manoeuvre import Manoeuvre
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording
@@ -34,7 +34,6 @@ if TYPE_CHECKING:  # they need torch and sbi, which take seconds to import
     from vehicle_sbi.inference.rounds import Inference
     from vehicle_sbi.inference.study import Prepared
 
-CONF = next(path for path in (PACKAGE / "conf", PACKAGE.parent / "conf") if path.is_dir())
 Source = str | Path | RecordingFile | Recording
 Box = Mapping[str, Any]
 
@@ -141,9 +140,7 @@ def identify(
     parts = {"features": "score", "estimator": "nsf", "training": "default", "noise": "estimated"}
     built = {group: _built(group, settings.pop(group, name)) for group, name in parts.items()}
     study = Study(**_common(recording, vehicle, prior, settings, window_s=5.0), **built, truth=None)
-    scheme = _built(
-        "rounds", rounds if isinstance(rounds, str) else "truncated", {} if isinstance(rounds, str) else rounds
-    )
+    scheme = _built("rounds", rounds) if isinstance(rounds, str) else _built("rounds", "truncated", rounds)
     prepared = study.prepare()
     with tempfile.TemporaryDirectory() as nowhere:
         inference = infer(prepared.problem, scheme, Path(folder or nowhere), quiet=quiet)

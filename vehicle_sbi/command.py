@@ -14,7 +14,15 @@ from importlib.metadata import version
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent
-SCRIPTS = next(path for path in (PACKAGE / "scripts", PACKAGE.parent / "scripts") if path.is_dir())
+RECORDINGS = PACKAGE / "recordings"
+
+
+def _folder(name: str) -> Path:
+    """A folder of the checkout, which an installed package has inside."""
+    return next(path for path in (PACKAGE / name, PACKAGE.parent / name) if path.is_dir())
+
+
+SCRIPTS, CONF = _folder("scripts"), _folder("conf")
 USAGE = "vehicle-sbi VERB key=value …"
 MORE = "vehicle-sbi VERB --help says more; --version the version; --completion a script for bash or zsh"
 

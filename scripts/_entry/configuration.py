@@ -1,8 +1,6 @@
 """The project's configuration: the folder of its files, whose folders are Hydra's groups."""
 
-from pathlib import Path
-
-CONF = Path(__file__).resolve().parents[2] / "conf"
+from vehicle_sbi.command import CONF
 
 
 def groups() -> set[str]:

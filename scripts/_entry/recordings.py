@@ -13,12 +13,10 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-import vehicle_sbi
+from vehicle_sbi.command import RECORDINGS
 from vehicle_sbi.errors import InputError, unknown
 
-SHIPPED = Path(vehicle_sbi.__file__).parent / "recordings"
-
-OmegaConf.register_new_resolver("shipped", lambda file: str(SHIPPED / file), replace=True)
+OmegaConf.register_new_resolver("shipped", lambda file: str(RECORDINGS / file), replace=True)
 
 
 def named_recordings(cfg: DictConfig) -> DictConfig:

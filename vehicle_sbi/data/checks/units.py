@@ -76,18 +76,14 @@ RADII = (
 
 def lateral(drive: Drive) -> Iterator[Finding]:
     """a_y against the yaw rate times the speed; the longitudinal axis has a say where the speed is suspected."""
-    own = _gain(drive, "a_y", "turning")
-    other = _gain(drive, "a_x", "gaining")
-    cleared = {"v_x"} if other is not None and LIKELY[0] < other < LIKELY[1] else set()
-    yield from _judged("a_y", "v_x times yaw_rate", own, [one for one in LATERAL if one.channel not in cleared])
+    own, other = _gain(drive, "a_y", "turning"), _gain(drive, "a_x", "gaining")
+    yield from _judged("a_y", "v_x times yaw_rate", own, _suspected(LATERAL, other))
 
 
 def longitudinal(drive: Drive) -> Iterator[Finding]:
     """a_x against what the speed gains."""
-    other = _gain(drive, "a_y", "turning")
-    cleared = {"v_x"} if other is not None and LIKELY[0] < other < LIKELY[1] else set()
-    gain = _gain(drive, "a_x", "gaining")
-    yield from _judged("a_x", "dv_x/dt", gain, [one for one in LONGITUDINAL if one.channel not in cleared])
+    own, other = _gain(drive, "a_x", "gaining"), _gain(drive, "a_y", "turning")
+    yield from _judged("a_x", "dv_x/dt", own, _suspected(LONGITUDINAL, other))
 
 
 def steering(drive: Drive) -> Iterator[Finding]:
@@ -117,6 +113,12 @@ def wheels(drive: Drive) -> Iterator[Finding]:
                 f"v_x is {radius:.2g} times {wheel}, where a radius in m is expected: {question.format(wheel=wheel)}",
             )
             return
+
+
+def _suspected(known: Sequence[Conversion], other: float | None) -> list[Conversion]:
+    """The conversions that may be; not those of the speed where the other axis has a likely gain with it."""
+    cleared = other is not None and LIKELY[0] < other < LIKELY[1]
+    return [one for one in known if not (cleared and one.channel == "v_x")]
 
 
 def _gain(drive: Drive, name: str, course: str) -> float | None:

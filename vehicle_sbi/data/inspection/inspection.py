@@ -41,7 +41,7 @@ def inspect(recording: RecordingFile) -> Inspection:
     if not isinstance(recording, RecordingFile):
         raise InputError("recording: is no file; recording=FILE, or a name that conf/recording has of one")
     path = Path(recording.path)
-    tables = contents(path, time=recording.time, dbc=getattr(recording, "dbc", None))
+    tables = contents(path, time=recording.time, dbc=recording.dbc)
     given = recording.mapping is not None
     guesses = () if given else guess([column for table in tables for column in table.columns])
     asked = recording if given else replace(recording, mapping=mapping_of(guesses), **_times(recording, tables[0]))

@@ -12,19 +12,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from vehicle_sbi.mismatch.estimation.estimate import Estimate
+
 NORMAL_95 = 1.6448536269514722  # standard deviations from the median of a normal law to its 95 % quantile
 STEP = 1e-6  # of a value, or of 1 where that is larger, by which it is moved to get a slope
-
-
-@dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """Mean, standard deviation and 5 % and 95 % quantiles, all in `unit`."""
-
-    mean: float
-    std: float
-    q05: float
-    q95: float
-    unit: str
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,12 +14,13 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.plausible import PLAUSIBLE
 from vehicle_sbi.inference.prior import KNOWN, flatten
 from vehicle_sbi.mismatch.answer.wording import NAMED
+from vehicle_sbi.mismatch.estimation.estimate import Estimate
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.physics.vehicle import read as read_vehicle
-from vehicle_sbi.report.export.exported import Estimate, Exported, Inferred
+from vehicle_sbi.report.export.exported import Exported, Inferred
 from vehicle_sbi.report.run_folder import FinishedRun
 from vehicle_sbi.report.run_folder import read as read_run
-from vehicle_sbi.report.tables import COLUMNS, IDENTIFIED_CONTRACTION
+from vehicle_sbi.report.tables import IDENTIFIED_CONTRACTION, read_table
 
 UNCHECKED = (
     "This run did not look for physics that its model lacks. Its uncertainties hold if nothing is missing; "
@@ -56,16 +57,9 @@ def _run(run: FinishedRun) -> Exported:
 
 
 def _table(file: Path) -> pd.DataFrame:
-    try:
-        table = pd.read_csv(file)
-    except FileNotFoundError:
-        raise InputError(f"{file.parent}: neither a run (table.csv) nor a diagnosis (verdict.json)") from None
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError):
-        raise InputError(f"{file}: not a table of comma-separated values") from None
-    missing = [column for column in COLUMNS if column not in table]
-    if missing:
-        raise InputError(f"{file}: column {', '.join(missing)} missing; a run's table has {', '.join(COLUMNS)}")
-    return table
+    if not file.exists():
+        raise InputError(f"{file.parent}: neither a run (table.csv) nor a diagnosis (verdict.json)")
+    return read_table(file)
 
 
 def _rows(table: pd.DataFrame) -> Iterator[tuple[str, Inferred]]:
