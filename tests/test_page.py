@@ -95,6 +95,7 @@ def test_a_headline_counts(tmp_path: Path) -> None:
     assert headline(found.iloc[:1].assign(identified=True)) == "The recording identifies the parameter."
 
 
+@pytest.mark.slow
 def test_an_hour_of_driving_stays_small(tmp_path: Path) -> None:
     """All channels at 100 Hz, with their simulations: 20 million numbers."""
     from vehicle_sbi.report.page.charts import Series, chart
