@@ -20,7 +20,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install run test test-all wheel lint format bench bench-simulator clean
+.PHONY: help install run test test-all docs wheel lint format bench bench-simulator clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /make \1\t/' | expand -t 22
@@ -36,14 +36,20 @@ test: $(STAMP)  ## the tests that take seconds
 test-all: $(STAMP)  ## every test, the slow ones included
 	@$(PY) -m pytest $(SPREAD) -m "slow or not slow" $(ARGS)
 
-wheel: $(STAMP)  ## the wheel, tried in an environment of its own outside the checkout: a quick study and the demo
+docs: $(VENV)/.docs  ## the docs as a site in build/docs; a broken link, or a page that no other lists, is an error
+	@$(PY) -m sphinx -q -W --keep-going docs build/docs
+	@echo build/docs/index.html
+
+wheel: $(STAMP)  ## the wheel, tried in an environment of its own outside the checkout: a study, the demo, three files
 	@rm -rf build/wheel && mkdir -p build/wheel
 	@$(PY) -m pip wheel -q --no-deps -w build/wheel . && $(PYTHON) -m venv build/wheel/env
 	@test -z "$(TORCH_INDEX)" || build/wheel/env/bin/python -m pip install -q --disable-pip-version-check --retries 0 \
 		--timeout 15 --no-deps -c constraints.txt --index-url $(TORCH_INDEX) torch >/dev/null 2>&1 || true
-	@build/wheel/env/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt build/wheel/*.whl
+	@build/wheel/env/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt \
+		"$$(ls build/wheel/*.whl)[ros,mdf]"
 	@cd $$(mktemp -d) && $(CURDIR)/build/wheel/env/bin/vehicle-sbi run experiment=smoke && \
 		$(CURDIR)/build/wheel/env/bin/vehicle-sbi demo
+	@VEHICLE_SBI=$(CURDIR)/build/wheel/env/bin/vehicle-sbi $(PY) -m pytest -n 2 -m slow tests/test_from_file_to_table.py
 
 lint: $(STAMP)  ## style, formatting and types
 	@$(PY) -m ruff check
@@ -79,4 +85,8 @@ $(STAMP): pyproject.toml constraints.txt | $(PY)
 			--index-url $(TORCH_INDEX) torch >/dev/null 2>&1 || \
 		echo "$(TORCH_INDEX) has no torch for this machine: taking it from pip's usual index"
 	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+$(VENV)/.docs: $(STAMP)
+	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@

@@ -1,7 +1,7 @@
 """The door of every script: Hydra's configuration in, one-line errors out, and a run folder named after what was asked.
 
-Import it before anything else: numpy and torch read the number of their threads when they are imported. One is set here
-unless the user has set another, since the cores belong to numba's simulations and small networks gain nothing.
+Import it before anything else: numpy and torch read the number of their threads when they are imported. It is one,
+whatever the environment says: sums would depend on it, and the cores belong to numba's simulations.
 
     from _entry import launch
 
@@ -16,14 +16,21 @@ sweep every failing job prints its line, the others run on, and the status is 2.
 traceback.
 """
 
+from _entry import interruption
+
+interruption.listen()
+
 from _entry.launching import launch
 from _entry.recordings import named_recordings, warn
 from _entry.run_folders import LONGEST_NAME, run_folder, study_name
+from _entry.targets import guard
 
 import os
 
 __all__ = ["LONGEST_NAME", "launch", "named_recordings", "run_folder", "study_name", "warn"]
 
+guard()
+
 # What is imported above imports neither numpy nor torch; tests/test_entry.py holds it to that.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
+    os.environ[variable] = "1"

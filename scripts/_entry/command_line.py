@@ -20,6 +20,20 @@ def spelled_out(arguments: Sequence[str]) -> list[str]:
     return [word for argument in _with_recording(arguments) for word in _with_file_option(argument)]
 
 
+def as_typed(overrides: Sequence[str]) -> list[str]:
+    """Hydra's overrides as a user types them, the inverse of `spelled_out`: a file in its group's place."""
+    pairs = [override.partition("=") for override in overrides]
+    files = {key.removesuffix(".path"): _unquoted(value) for key, _, value in pairs if key.endswith(".path")}
+    chosen = {group for group, path in files.items() if f"{group}=file" in overrides and is_file(group, path)}
+    typed = [
+        f"{key.removesuffix('.path')}={_unquoted(value)}" if key.removesuffix(".path") in chosen else _mapping(override)
+        for override, (key, _, value) in zip(overrides, pairs, strict=True)
+        if not (key in chosen and value == "file")
+    ]
+    implied = {f"recording={first}" for one in typed if (first := _first_recording(one))}
+    return [one for one in typed if one not in implied]
+
+
 def is_file(group: str, value: str) -> bool:
     """Whether `value` means a file rather than an option of the group, from how it is written.
 
@@ -47,8 +61,25 @@ def _with_recording(arguments: Sequence[str]) -> list[str]:
     """`recordings=[A,…]` chooses `recording=A` too, unless the user does: its settings are how all are read."""
     if any(argument.startswith("recording=") for argument in arguments):
         return list(arguments)
-    for argument in arguments:
-        first = re.fullmatch(r"recordings=\[?\s*['\"]?([^,'\"\[\]]+).*", argument)
-        if first:
-            return [*arguments, f"recording={first[1].strip()}"]
-    return list(arguments)
+    first = next((name for argument in arguments if (name := _first_recording(argument))), None)
+    return [*arguments, f"recording={first}"] if first else list(arguments)
+
+
+def _first_recording(argument: str) -> str | None:
+    """The first of `recordings=[A,…]`, None of any other argument."""
+    found = re.fullmatch(r"recordings=\[?\s*['\"]?([^,'\"\[\]]+).*", argument)
+    return found[1].strip() if found else None
+
+
+def _mapping(override: str) -> str:
+    """`recording.mapping="PATH"` as `mapping=PATH`, anything else as it is."""
+    path = _unquoted(override.removeprefix("recording.mapping="))
+    return f"mapping={path}" if path != override and is_file("mapping", path) else override
+
+
+def _unquoted(value: str) -> str:
+    """A text without the quotes that `spelled_out` has put around it."""
+    try:
+        return str(json.loads(value)) if value.startswith('"') else value
+    except json.JSONDecodeError:
+        return value

@@ -1,5 +1,7 @@
 """Configuration is construction: every `_target_` is held against its signature before anything is computed."""
 
+from _entry.targets import check_targets
+
 import inspect
 import pydoc
 import types
@@ -36,6 +38,7 @@ def check_construction(node: object, where: str = "") -> None:
 
 def signature(target: object, where: str) -> inspect.Signature:
     """The signature of what `target` names; raises InputError if there is no such thing to call."""
+    check_targets({"_target_": target}, where)  # before it is imported
     called = pydoc.locate(str(target))
     if not callable(called):
         raise InputError(f"{where}: cannot import its _target_ '{target}'")

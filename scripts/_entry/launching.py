@@ -4,7 +4,9 @@ from _entry import configuration, help
 from _entry.command_line import spelled_out
 from _entry.construction import check_construction
 from _entry.failures import Failure, report, reported
+from _entry.interruption import LINE, status
 from _entry.sentences import sentence
+from _entry.user_files import check_config_folders
 
 import functools
 import os
@@ -24,7 +26,7 @@ Task = Callable[[DictConfig], object]
 def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
     """Make a script's main function from one that takes its composed configuration, `conf/CONFIG_NAME.yaml`.
 
-    The main function exits with status 2 after a wrong value and 130 after an interruption.
+    The main function exits with status 2 after a wrong value, 130 after Ctrl-C and 143 after SIGTERM.
     """
 
     def decorate(task: Task) -> Callable[[], None]:
@@ -39,10 +41,11 @@ def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, instead of printing in its own way
             try:
                 sys.argv[1:] = spelled_out(sys.argv[1:])
+                check_config_folders(sys.argv[1:])
                 hydra.main(config_path=str(configuration.CONF), config_name=config_name, version_base=None)(job)()
-            except KeyboardInterrupt:
-                print("interrupted; the same command continues from what is already on disk", file=sys.stderr)
-                sys.exit(130)
+            except KeyboardInterrupt as interruption:
+                print(LINE, file=sys.stderr)
+                sys.exit(status(interruption))
             except Exception as error:
                 line = None if traceback_wanted else sentence(error)
                 if line is None:

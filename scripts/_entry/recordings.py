@@ -4,6 +4,7 @@
 """
 
 from _entry.command_line import is_file
+from _entry.targets import check_targets
 
 import sys
 import typing
@@ -42,6 +43,7 @@ def _settings(entry: str, cfg: DictConfig, where: str) -> object:
     if entry == chosen["recording"]:
         return OmegaConf.to_container(cfg.recording, resolve=True)
     found = typing.cast(DictConfig, OmegaConf.load(configured[entry]))
+    check_targets(OmegaConf.to_container(found), entry)
     vehicle = _vehicle(found)
     if vehicle != chosen["vehicle"]:
         raise InputError(

@@ -3,6 +3,9 @@
 Hydra reads the name as `${study_name:…}`, with the job's overrides.
 """
 
+from _entry.command_line import SUFFIXES, as_typed
+from _entry.recordings import warn
+
 import hashlib
 import re
 import typing
@@ -14,23 +17,35 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from vehicle_sbi.report.run_folder import RunFolder
 
+FILES = (*SUFFIXES, "recordings", "heldout", "recording.dbc")
+"""Keys whose values are files, or lists of them."""
+
 LONGEST_NAME = 120  # characters; file systems allow 255 for a folder
 
 
 def study_name(overrides: Sequence[str]) -> str:
-    """The name of a run's folder: the overrides in sorted order.
+    """The name of a run's folder: the overrides in sorted order, files by their names.
 
     Made of characters that need no quotes in a shell or as a value on Hydra's command line. What is cut, or had to be
     replaced, leaves eight digits of a hash of the whole, so that two studies never share a folder.
     """
     if not overrides:
         return "default"
-    asked = sorted(override.lstrip("+") for override in overrides)
-    readable = "+".join(override.replace("=", "-", 1) for override in asked)
+    asked = sorted(as_typed([override.lstrip("+") for override in overrides]))
+    exact = "+".join(override.replace("=", "-", 1) for override in asked)
+    readable = "+".join(_without_folders(override).replace("=", "-", 1) for override in asked)
     name = re.sub(r"[^\w.+-]+", "_", readable, flags=re.ASCII).strip("_.")
-    if name == readable and len(name) <= LONGEST_NAME:
+    if name == exact and len(name) <= LONGEST_NAME:
         return name
     return f"{name[:LONGEST_NAME]}-{hashlib.sha256(' '.join(asked).encode()).hexdigest()[:8]}"
+
+
+def _without_folders(override: str) -> str:
+    """An override that names files, without their folders and the brackets of a list; any other as it is."""
+    key, equals, value = override.partition("=")
+    if key not in FILES:
+        return override
+    return key + equals + re.sub(r"[^,'\"\[\]]*/(?=[^,'\"\[\]/])", "", value).strip("[]'\" ")
 
 
 def _study_name_of(overrides: ListConfig) -> str:
@@ -43,10 +58,12 @@ OmegaConf.register_new_resolver("study_name", _study_name_of, replace=True)
 def run_folder(cfg: DictConfig, *, inputs: Mapping[str, str]) -> RunFolder:
     """The run folder of this job, new or resumed; `inputs` are the SHA-256 of the files that it reads."""
     hydra_cfg = HydraConfig.get()
-    return RunFolder.open(
+    folder = RunFolder.open(
         Path(hydra_cfg.runtime.output_dir),
         config=typing.cast(dict[str, object], OmegaConf.to_container(cfg, resolve=True)),
         overrides=list(hydra_cfg.overrides.task),
         inputs=inputs,
         choices={str(group): str(choice) for group, choice in hydra_cfg.runtime.choices.items()},
     )
+    warn(folder.notices)
+    return folder

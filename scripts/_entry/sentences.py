@@ -2,6 +2,7 @@
 
 from _entry.configuration import groups
 from _entry.construction import signature
+from _entry.targets import allowed
 
 import errno
 import functools
@@ -108,7 +109,7 @@ def _unknown_key(node: DictConfig, error: OmegaConfBaseException) -> str:
     """Of a key that `node` lacks: the known ones, or how to add one that its `_target_` takes."""
     level, _, _ = str(error.full_key).rpartition(".")
     target = node.get("_target_") if "_target_" in node else None
-    accepted = set(signature(target, level).parameters) if target else set()
+    accepted = set(signature(target, level).parameters) if target in allowed() else set()
     if error.key in accepted:
         return (
             f"{error.full_key} is not in the configuration, which leaves it at its default: write +{error.full_key}=…"

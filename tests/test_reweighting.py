@@ -1,0 +1,89 @@
+"""Draws re-weighted by the likelihood follow the exact posterior, whoever proposed them, or it is said why not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from studies import PRIOR, constant_noise, paper_process, simulator
+
+from vehicle_sbi.data.noise import ProcessNoise
+from vehicle_sbi.inference.information import Laplace, laplace
+from vehicle_sbi.inference.reweighting import Nuisances, Reweighted, applies, log_prior, reweighted
+from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.rng import Stream
+
+PROPOSED, DRAWN = 8000, 2000
+
+
+@pytest.fixture(scope="module")
+def sim() -> Simulator:
+    """Process noise of the paper's law and an uncertain initial speed."""
+    return simulator(process=paper_process(), known_start=False)
+
+
+@pytest.fixture(scope="module")
+def observed(sim: Simulator) -> np.ndarray:
+    return sim.simulate(np.array([[1.22, 0.05, -0.05]]), np.array([0]), stream=Stream.TRUTH)[0][0].astype(float)
+
+
+@pytest.fixture(scope="module")
+def about(sim: Simulator, observed: np.ndarray) -> Laplace:
+    found = laplace(sim, observed, (sim.space.low + sim.space.high)[None] / 2)
+    assert found is not None
+    return found
+
+
+def by(sim: Simulator, observed: np.ndarray, about: Laplace, off: float, wide: float) -> Reweighted:
+    """Draws proposed by a normal that is so many standard deviations off and so many times as wide as Laplace's."""
+    rng, space = np.random.default_rng(1), sim.space
+    mean, covariance = about.marginal
+    normal = multivariate_normal(mean + off * np.sqrt(np.diag(covariance)), wide**2 * covariance)
+    theta = normal.rvs(4 * PROPOSED, random_state=rng)
+    theta = theta[np.all((theta >= space.low) & (theta <= space.high), axis=1)][:PROPOSED]
+    return reweighted(sim, observed, (theta, normal.logpdf(theta)), about, DRAWN, rng)
+
+
+def test_the_answer_does_not_depend_on_who_proposed(sim: Simulator, observed: np.ndarray, about: Laplace) -> None:
+    right, wrong = by(sim, observed, about, 0.0, 1.3), by(sim, observed, about, 0.7, 1.6)
+    std = right.theta.std(axis=0)
+    few = min(right.effective, wrong.effective)
+    assert right.trusted
+    assert wrong.trusted
+    np.testing.assert_allclose((wrong.theta.mean(axis=0) - right.theta.mean(axis=0)) / std, 0.0, atol=5 / np.sqrt(few))
+    np.testing.assert_allclose(np.log(wrong.theta.std(axis=0) / std), 0.0, atol=5 / np.sqrt(few))
+
+
+def test_proposals_where_the_likelihood_has_no_mass_are_not_relied_on(
+    sim: Simulator, observed: np.ndarray, about: Laplace
+) -> None:
+    found = by(sim, observed, about, 6.0, 0.3)
+    assert not found.trusted
+    assert "cannot be relied on" in found.sentence()
+
+
+def test_densities_of_nuisances_integrate_to_one() -> None:
+    """Along each axis through zero p(x) / p(0) integrates to 1 / p_i(0); the product of all p_i(0) is p(0)."""
+    inputs = ProcessNoise(stiffness=0.05, inputs=0.03).draw(np.random.default_rng(0))
+    uniform = simulator(process=inputs, known_start=False)
+    for sim in (uniform, replace(uniform, uniform_start=False)):
+        axes, zero = np.eye(len(sim.nuisances)), log_prior(sim, np.zeros((1, len(sim.nuisances))))[0]
+        x = np.linspace(-15.0, 15.0, 60_001)
+        integrals = [np.trapezoid(np.exp(log_prior(sim, x[:, None] * axis) - zero), x) for axis in axes]
+        assert np.exp(-np.log(integrals).sum()) == pytest.approx(np.exp(zero), rel=1e-3)
+
+
+def test_it_applies_where_the_likelihood_is_known() -> None:
+    sim = simulator(PRIOR, process=paper_process())
+    assert applies(sim)
+    assert not applies(sim.with_noise(constant_noise(sim.windows, rho=0.5)))
+    assert not applies(replace(sim, process=paper_process(per_sample=True)))
+
+
+def test_nuisances_are_drawn_with_the_density_that_is_told(about: Laplace) -> None:
+    """The mean of p / r over draws of r is the integral of p, for a normal p narrower than r's tails."""
+    given = Nuisances.given(about)
+    theta = np.repeat(about.theta[None], 50_000, axis=0)
+    eta, log_r = given.sample(theta, np.random.default_rng(0))
+    ratio = np.exp(multivariate_normal(given.eta, given.factor @ given.factor.T).logpdf(eta) - log_r)
+    assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(len(ratio)))

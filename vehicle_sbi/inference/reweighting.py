@@ -1,0 +1,162 @@
+"""Draws of a neural posterior, re-weighted by the simulator's own likelihood.
+
+Where noise is independent from sample to sample the likelihood of (theta, eta) is known, eta being what else is drawn
+in a simulation (process noise, initial state). Then the network need only propose: theta_i ~ q(theta | x_o),
+eta_i ~ r(eta | theta_i), and
+
+    w_i = p(x_o | theta_i, eta_i) p(eta_i) p(theta_i) / (q(theta_i) r(eta_i | theta_i))
+
+weights the draws to the exact posterior (Robert and Casella, Monte Carlo Statistical Methods, ch. 3; for neural
+posteriors Dax et al., Phys. Rev. Lett. 130, 171403, 2023). r is the normal that Laplace's approximation has of eta
+given theta, with the tails of a t distribution. How many draws the weights leave, and the shape k of their tail, say
+whether the result is to be relied on (Vehtari et al., Pareto smoothed importance sampling, 2024).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from sbi.inference.posteriors.base_posterior import NeuralPosterior
+from scipy.special import gammaln
+
+from vehicle_sbi.data.noise import Mixture
+from vehicle_sbi.inference.importance import TRUSTED, pareto_k, systematic, truncated
+from vehicle_sbi.inference.information import Laplace
+from vehicle_sbi.inference.proposal import draw, log_density
+from vehicle_sbi.inference.rounds import Problem, at_once
+from vehicle_sbi.inference.simulator import STIFFNESSES, Simulator
+from vehicle_sbi.rng import Stream, generator
+
+PROPOSED = 8  # draws proposed for each that is asked for
+FREEDOM = 5.0  # degrees of freedom of the nuisances' proposal
+LEAST = 200  # effective draws that quantiles need
+
+
+@dataclass(frozen=True)
+class Reweighted:
+    """Draws of the exact posterior, how many of those proposed they are worth, and the shape of the weights' tail."""
+
+    theta: Float[np.ndarray, "n d"]
+    proposed: int
+    effective: float
+    k: float
+
+    @property
+    def trusted(self) -> bool:
+        return self.k <= TRUSTED and self.effective >= LEAST
+
+    def sentence(self) -> str:
+        """What was done with the draws, for the notes of a run."""
+        worth = f"{self.proposed} draws are worth {self.effective:.0f} of it, Pareto k = {self.k:.2f}"
+        if self.trusted:
+            return f"Draws are re-weighted to the simulator's own likelihood: {worth}."
+        return f"Draws are the network's: weights by the simulator's own likelihood cannot be relied on ({worth})."
+
+
+def posterior_draws(
+    problem: Problem, posterior: NeuralPosterior, n: int
+) -> tuple[Float[np.ndarray, "n d"], str | None]:
+    """n draws, re-weighted where that applies and can be relied on, and a sentence on it.
+
+    Features that lose information have a posterior of their own, which is left as it is. Needs torch's generator
+    seeded, as all draws of a network.
+    """
+    simulator, about = problem.simulator, problem.laplace if problem.features.efficient else None
+    if about is None or not applies(simulator):
+        return draw(posterior, simulator.space, n), None
+    theta = draw(posterior, simulator.space, PROPOSED * n)
+    rng = generator(seed=simulator.seed, stream=Stream.POSTERIOR)
+    found = reweighted(simulator, problem.observed, (theta, log_density(posterior, theta)), about, n, rng)
+    return found.theta if found.trusted else theta[:n], found.sentence()
+
+
+def applies(simulator: Simulator) -> bool:
+    """Whether the likelihood is known: independent noise, drawn once a simulation, no plausible effects."""
+    per_sample = simulator.process.per_sample and (simulator.process.stiffness.std or simulator.process.inputs.std)
+    return not simulator.noise.rho.any() and not per_sample and not len(simulator.plausible)
+
+
+def reweighted(
+    simulator: Simulator,
+    observed: Float[np.ndarray, "channels time"],
+    proposed: tuple[Float[np.ndarray, "m d"], Float[np.ndarray, " m"]],
+    about: Laplace,
+    n: int,
+    rng: np.random.Generator,
+) -> Reweighted:
+    """n of the proposed draws, given with the logarithm of their density, as draws of the exact posterior.
+
+    `about` says where the nuisances are likely.
+    """
+    theta, log_q = proposed
+    eta, log_r = Nuisances.given(about).sample(theta, rng)
+    log_weight = log_likelihood(simulator, observed, theta, eta) + log_prior(simulator, eta) - log_q - log_r
+    if not np.isfinite(log_weight).any():
+        return Reweighted(theta[:n], len(theta), 0.0, np.inf)
+    weight = truncated(log_weight)
+    chosen = rng.permutation(systematic(weight, n, rng))
+    return Reweighted(theta[chosen], len(theta), 1.0 / float(weight @ weight), pareto_k(log_weight))
+
+
+@dataclass(frozen=True)
+class Nuisances:
+    """A t distribution of eta about the mean that a normal of (theta, eta) has of it given theta."""
+
+    theta: Float[np.ndarray, " d"]
+    eta: Float[np.ndarray, " e"]
+    slope: Float[np.ndarray, "e d"]
+    factor: Float[np.ndarray, "e e"]
+
+    @classmethod
+    def given(cls, about: Laplace) -> "Nuisances":
+        d, C = len(about.theta), about.covariance
+        slope = np.linalg.solve(C[:d, :d], C[:d, d:]).T
+        return cls(about.theta, about.eta, slope, np.linalg.cholesky(C[d:, d:] - slope @ C[:d, d:]))
+
+    def sample(
+        self, theta: Float[np.ndarray, "n d"], rng: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, " n"]]:
+        """A draw for each theta, and the logarithm of its density."""
+        n, e = len(theta), len(self.eta)
+        unit = rng.standard_normal((n, e)) / np.sqrt(rng.chisquare(FREEDOM, (n, 1)) / FREEDOM)
+        constant = gammaln((FREEDOM + e) / 2) - gammaln(FREEDOM / 2) - e / 2 * np.log(FREEDOM * np.pi)
+        constant -= np.log(np.diag(self.factor)).sum()
+        log_density = constant - (FREEDOM + e) / 2 * np.log1p((unit**2).sum(axis=1) / FREEDOM)
+        return self.eta + (theta - self.theta) @ self.slope.T + unit @ self.factor.T, log_density
+
+
+def log_prior(simulator: Simulator, eta: Float[np.ndarray, "n e"]) -> Float[np.ndarray, " n"]:
+    """Log density of nuisances, in units of their standard deviations about their means."""
+    total = np.zeros(len(eta))
+    for name, values in zip(simulator.nuisances, eta.T, strict=True):
+        mixture = _mixture(simulator, name)
+        if mixture is not None:
+            total += mixture.log_density(mixture.mean + mixture.std * values) + np.log(mixture.std)
+        elif simulator.uniform_start:
+            total += np.where(np.abs(values) <= np.sqrt(3.0), -np.log(2.0 * np.sqrt(3.0)), -np.inf)
+        else:
+            total -= 0.5 * (values**2 + np.log(2.0 * np.pi))
+    return total
+
+
+def _mixture(simulator: Simulator, name: str) -> Mixture | None:
+    """What a nuisance is drawn from, if it is no initial state."""
+    if name in STIFFNESSES:
+        return simulator.process.stiffness
+    return simulator.process.inputs if name in ("steering", "torque") else None
+
+
+def log_likelihood(
+    simulator: Simulator,
+    observed: Float[np.ndarray, "channels time"],
+    theta: Float[np.ndarray, "n d"],
+    eta: Float[np.ndarray, "n e"],
+) -> Float[np.ndarray, " n"]:
+    """log p(x_o | theta, eta) under independent noise; minus infinity where the simulation fails."""
+    valid, parts = simulator.windows.valid, []
+    for rows in np.array_split(np.arange(len(theta)), -(-len(theta) // at_once(simulator))):
+        y = simulator.noise_free(theta[rows], eta[rows])
+        std = simulator.noise.std(y)[:, valid]
+        parts.append(-(0.5 * ((observed[valid] - y[:, valid]) / std) ** 2 + np.log(std)).sum(axis=1))
+    total = np.concatenate(parts)
+    return np.where(np.isfinite(total), total, -np.inf)
