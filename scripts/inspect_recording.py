@@ -1,6 +1,7 @@
 """What a recording holds, a guessed mapping, and what looks wrong; writes a mapping and a vehicle file to edit.
 
 python scripts/inspect_recording.py recording=drive.csv
+python scripts/inspect_recording.py recording=drive.mcap mapping=autoware
 """
 
 from _entry import launch  # first: it sets the number of threads
@@ -8,11 +9,13 @@ from _entry import launch  # first: it sets the number of threads
 import os
 from pathlib import Path
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from vehicle_sbi.data.inspection.inspection import Inspection
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
-from vehicle_sbi.data.inspection.written import write
+from vehicle_sbi.data.inspection.written import write, write_vehicle
 
 
 @launch("inspect_recording")
@@ -21,9 +24,26 @@ def main(cfg: DictConfig) -> None:
     print(spoken(inspection), end="\n\n")
     if not inspection.given:
         mapping, vehicle = write(inspection, Path(cfg.to), overwrite=cfg.overwrite)
-        command = "vehicle-sbi diagnose" if "VEHICLE_SBI_COMMAND" in os.environ else "python scripts/diagnose.py"
-        print(f"written: {mapping}, {vehicle}; edit both, then")
-        print(f"  {next_command(inspection, mapping, vehicle, command=command)}")
+        say_next(inspection, mapping, vehicle, f"written: {mapping}, {vehicle}; edit both")
+    elif (given := mapping_given(cfg)) is not None:
+        vehicle, written = write_vehicle(inspection, Path(cfg.to))
+        say_next(inspection, given, vehicle, f"{'written' if written else 'there already'}: {vehicle}; edit it")
+
+
+def mapping_given(cfg: DictConfig) -> str | None:
+    """The mapping as the user named it; None where a configured recording brings its own, and its vehicle."""
+    choices = HydraConfig.get().runtime.choices
+    if choices["recording"] != "file":
+        return None
+    return cfg.recording.mapping if isinstance(cfg.recording.mapping, str) else choices["mapping"]
+
+
+def say_next(inspection: Inspection, mapping: Path | str, vehicle: Path, done: str) -> None:
+    """What was written, and what to type next for either answer."""
+    called = "vehicle-sbi {}" if "VEHICLE_SBI_COMMAND" in os.environ else "python scripts/{}.py"
+    print(f"{done}, then for parameters, or for what a simulation lacks")
+    for verb in ("run", "diagnose"):
+        print(f"  {next_command(inspection, mapping, vehicle, command=called.format(verb))}")
 
 
 if __name__ == "__main__":

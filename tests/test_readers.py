@@ -1,12 +1,15 @@
 """Laws of reading, and the one line that each kind of unusable drive and each wrong setting gets."""
 
 import os
+import re
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from foreign_drive import refused
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
@@ -142,6 +145,32 @@ def test_a_stray_last_row_is_dropped(tmp_path):
     rec = read(saved(tmp_path, data))
     assert rec.t[-1] == pytest.approx((N - 2) / 100.0)
     assert "drive.csv: the last row, 5.02 s after the one before, dropped" in rec.notes
+
+
+@pytest.mark.parametrize(("jump", "row"), [(86_400.0, 30), (1.7e9, 30), (1.7e9, 1)])
+def test_a_clock_that_jumps_costs_no_memory_and_names_the_row(tmp_path, jump, row):
+    data = frame()
+    data.loc[row:, "time_s"] += jump
+    path = saved(tmp_path, data)
+    refused(path, re.escape(f"time jumps by {jump + 0.01:.6g} s at row {row + 2}, and {N} samples"))
+    tracemalloc.start()
+    refused(path)
+    assert tracemalloc.get_traced_memory()[1] < 10 * path.stat().st_size + 10 * 2**20
+    tracemalloc.stop()
+    late = RecordingFile(path=path, start_s=jump).load()
+    assert len(late.t) == N - row
+
+
+def test_a_rate_far_above_the_files_is_refused(tmp_path):
+    refused(saved(tmp_path, frame()), "recording.rate", rate=1e9)
+
+
+def test_a_pause_of_minutes_is_kept(tmp_path):
+    data = frame()
+    data.loc[30:, "time_s"] += 600.0
+    recording = read(saved(tmp_path, data))
+    assert recording.t[-1] - recording.t[0] == pytest.approx(data["time_s"].iloc[-1])
+    assert all(valid.sum() == N for valid in recording.valid.values())
 
 
 def test_absent_ends_are_masked(tmp_path):

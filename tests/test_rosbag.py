@@ -1,5 +1,6 @@
 """ROS bags of either generation and storage come back as the drive that was written, on every topic's own clock."""
 
+import re
 import shutil
 import sqlite3
 import sys
@@ -81,7 +82,7 @@ def messages(types, ros2: bool, imu: bool, frame: str = "imu_link"):
 
 
 def written(folder: Path, kind: str, *, imu: bool = True, definitions: bool = True) -> Path:
-    ros2 = kind != "ros1"
+    ros2 = not kind.startswith("ros1")
     types = store(ros2)
     path = folder / ("drive.bag" if not ros2 else "drive")
     if ros2:
@@ -95,6 +96,8 @@ def written(folder: Path, kind: str, *, imu: bool = True, definitions: bool = Tr
             writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
     else:
         writer = Writer1(path)
+        if kind != "ros1":
+            writer.set_compression(Writer1.CompressionFormat[kind.removeprefix("ros1 ").upper()])
     with writer:
         connections = {}
         for topic, name, now, one in messages(types, ros2, imu):
@@ -113,7 +116,20 @@ USED = {"steering": 0.02, "v_x": 0.03, "yaw_rate": 0.01, "a_y": 0.01, "a_x": 0.0
 REST = ("a_z", "roll_rate", "pitch_rate")
 
 
-@pytest.mark.parametrize("kind", ["sqlite3", "mcap", "ros1", "sqlite3 file", "sqlite3 message", "mcap chunk"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "sqlite3",
+        "mcap",
+        "ros1",
+        "ros1 bz2",
+        "ros1 lz4",
+        "sqlite3 file",
+        "sqlite3 message",
+        "mcap chunk",
+        "mcap message",
+    ],
+)
 def test_a_bag_comes_back_as_the_drive(tmp_path, kind):
     mapping = {name: one for name, one in mapping_file(AUTOWARE).items() if name not in REST}
     rec = RecordingFile(path=written(tmp_path, kind), mapping=mapping).load()
@@ -238,3 +254,20 @@ def test_damaged_bytes_never_get_more_than_a_line(tmp_path, kind):
     path = written(tmp_path, kind)
     file = path if path.is_file() else next(one for one in path.iterdir() if one.suffix in (".db3", ".mcap"))
     damaged(file, mapping=AUTOWARE)
+
+
+@pytest.mark.parametrize("jump", [86_400, 1_700_000_000])
+def test_a_clock_that_jumps_is_refused_and_can_be_cut(tmp_path, jump):
+    """The bag's clock is set, from an epoch near zero, in the middle of the drive; messages have no stamps."""
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer2(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/v", "std_msgs/msg/Float64", typestore=types)
+        for k in range(1000):
+            message = types.types["std_msgs/msg/Float64"](data=10.0 + np.sin(k / 50.0))
+            now = 10_000_000 * k + 10**9 * (0 if k < 600 else jump)
+            writer.write(connection, now, types.serialize_cdr(message, "std_msgs/msg/Float64"))
+    mapping = {"v_x": {"column": "/v.data"}}
+    said = re.escape(f"time jumps by {jump + 0.01:.6g} s at row 601, and 1000 samples would become")
+    refused(tmp_path / "bag", said, mapping=mapping)
+    before = RecordingFile(path=tmp_path / "bag", mapping=mapping, stop_s=5.99).load()
+    assert len(before.t) == 600

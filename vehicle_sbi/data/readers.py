@@ -28,19 +28,26 @@ from vehicle_sbi.files import sha256
 SHORT_GAP_S = 0.1
 """Gaps up to this long [s] are filled linearly, longer ones masked (2.5 sample steps in slow files)."""
 
+SMALL_GRID, LARGEST_GRID = 200_000, 20
+"""Samples of the uniform grid that any file may have, and times the file's own samples, at most."""
+
 MOST_ABSENT = 0.5
 """Largest share of a column's rows that may hold no number."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """One channel as its file has it: times [s], values in SI (NaN where absent), its sensor group, and its clock."""
+    """One channel as its file has it: times [s], values in SI (NaN where absent), its sensor group, and its clock.
+
+    `first_row` is the file's number of the first sample's row.
+    """
 
     t: Float[np.ndarray, " rows"]
     values: Float[np.ndarray, " rows"]
     group: str
     path: Path
     clock: str
+    first_row: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +159,22 @@ class RecordingFile:
         if not uniform or rate != usual or any(not np.array_equal(t, clocks[0]) for t in clocks):
             spread = f"{1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
             notes.append(f"resampled linearly to {rate:g} Hz from steps of {spread}, median {1e3 * step:.3g} ms")
+        self._check_grid(inside, stop, rate, listed[0].first_row + int(np.searchsorted(clocks[0], inside[0])))
         return inside[0] + np.arange(int((stop - inside[0]) * rate + 1e-3) + 1) / rate, rate
+
+    def _check_grid(self, t: Float[np.ndarray, " rows"], stop: float, rate: float, first_row: int) -> None:
+        """Raise InputError for a grid that would hold many times the samples that there are, and why it would."""
+        wanted, most = (stop - t[0]) * rate, max(SMALL_GRID, LARGEST_GRID * len(t))
+        if wanted <= most:
+            return
+        steps = np.diff(t, append=stop)
+        k, size = int(np.argmax(steps)), f"{len(t)} samples would become {wanted:.3g} at {rate:g} Hz"
+        if (stop - t[0] - steps[k]) * rate > most:
+            raise InputError(f"{self.path}: {size}, the rate of its usual step: state a lower one, recording.rate")
+        raise InputError(
+            f"{self.path}: time jumps by {steps[k]:.6g} s at row {first_row + k + 1}, and {size}: split the file "
+            "there, or cut it with recording.start_s or recording.stop_s"
+        )
 
 
 def read(
@@ -199,7 +221,14 @@ def _series(name: str, source: ChannelSource, table: Table, t: Float[np.ndarray,
             notes.append(f"{name}: {spoken_runs(which, t)} left out: {why}")
     group = source.group or CHANNELS[name].group
     clock = table.clock or table.path.name
-    return Series(t=t, values=np.where(beyond | runs, np.nan, values), group=group, path=table.path, clock=clock)
+    return Series(
+        t=t,
+        values=np.where(beyond | runs, np.nan, values),
+        group=group,
+        path=table.path,
+        clock=clock,
+        first_row=table.first_row,
+    )
 
 
 def _clock_offsets(series: Iterable[Series]) -> list[str]:

@@ -1,5 +1,7 @@
 """Logs of raw CAN frames, Vector's BLF and ASC, through `python-can`; a database says what the frames mean."""
 
+import os
+import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -8,9 +10,13 @@ import can
 import numpy as np
 
 from vehicle_sbi.data.formats.can_frames import Frames, decoded
+from vehicle_sbi.data.formats.limits import Budget, Zlib
 from vehicle_sbi.data.formats.table import Table, foreign
 from vehicle_sbi.errors import InputError
 
+FRAME = 200  # [bytes] that a frame takes as python-can has it, at least
+CONTAINER, DEFLATED = 10, 2  # a BLF's object of packed frames, and how they are packed
+OBJECT, PACKED = struct.Struct("<4s4xII"), struct.Struct("<H14x")  # how objects and containers begin
 LONGEST = 64  # data bytes of a CAN FD frame
 
 
@@ -21,7 +27,11 @@ def read(path: Path, dbc: Path | None) -> tuple[Table, ...]:
     if dbc is None:
         raise InputError(f"{path}: holds raw CAN frames: recording.dbc=FILE.dbc says what they mean")
     with foreign(path, "a CAN log"):
-        found = list(_messages(path))
+        _check_unpacked(path)
+        found, budget = [], Budget(path)
+        for message in _messages(path):
+            budget.take(FRAME)
+            found.append(message)
     if not found:
         raise InputError(f"{path}: holds no CAN frame")
     data = np.zeros((len(found), LONGEST), dtype=np.uint8)
@@ -39,6 +49,23 @@ def read(path: Path, dbc: Path | None) -> tuple[Table, ...]:
     cut = path.suffix.lower() == ".asc" and b"end triggerblock" not in _end(path).lower()
     notes = (f"{path.name}: has no end mark; the log may have been cut",) if cut else ()
     return tuple(replace(table, notes=(*table.notes, *notes)) for table in decoded(path, frames, dbc))
+
+
+def _check_unpacked(path: Path) -> None:
+    """Raise InputError if the containers of a BLF unpack to too much."""
+    if path.suffix.lower() != ".blf":
+        return
+    budget = Budget(path)
+    with path.open("rb") as file:
+        file.seek(struct.unpack("<4xI", file.read(8))[0])
+        while len(begin := file.read(OBJECT.size)) == OBJECT.size:
+            mark, size, kind = OBJECT.unpack(begin)
+            if mark != b"LOBJ" or size < OBJECT.size:
+                return  # which python-can refuses
+            data = file.read(size - OBJECT.size)
+            file.seek(size % 4, os.SEEK_CUR)
+            if kind == CONTAINER and len(data) > PACKED.size and PACKED.unpack_from(data)[0] == DEFLATED:
+                budget.count(data[PACKED.size :], Zlib)
 
 
 def _end(path: Path) -> bytes:

@@ -51,4 +51,4 @@ def _log(path: Path, folder: Path) -> Table | None:
 
 def _array(path: Path) -> np.ndarray:
     with foreign(path, "a numpy array"):
-        return np.load(path, allow_pickle=False)
+        return np.array(np.load(path, mmap_mode="r", allow_pickle=False))  # mapped: a file shorter than it says is seen

@@ -5,6 +5,8 @@ structs are joined by dots. Simulink's "structure with time" is read too. Object
 nothing of a file is evaluated.
 """
 
+import os
+import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
+from vehicle_sbi.data.formats.limits import Budget, Zlib
 from vehicle_sbi.data.formats.table import Table, foreign, one_line
 from vehicle_sbi.errors import InputError
 
@@ -20,6 +23,7 @@ TIMES = ("time_s", "time", "t", "timestamp", "timestamps", "tout")
 """Names of a vector of time, whatever their case."""
 
 DEEPEST = 8
+HEADER, COMPRESSED = 128, 15
 
 
 def read(path: Path) -> tuple[Table, ...]:
@@ -29,6 +33,7 @@ def read(path: Path) -> tuple[Table, ...]:
     if b"MATLAB 7.3" in path.open("rb").read(128):
         raise InputError(f"{path}: is a MATLAB 7.3 file (HDF5), which is not read: save it with save(…, '-v7')")
     with foreign(path, "a MATLAB file"):
+        _check_unpacked(path)
         content = loadmat(path, simplify_cells=True, chars_as_strings=True)
     variables = {name: value for name, value in content.items() if not name.startswith("__")}
     tables = tuple(_tables(path, "", variables, 0))
@@ -38,6 +43,20 @@ def read(path: Path) -> tuple[Table, ...]:
             f"the file holds {one_line(', '.join(variables)) or 'nothing'}"
         )
     return tables
+
+
+def _check_unpacked(path: Path) -> None:
+    """Raise InputError if the compressed variables (MAT-File Format, version 5: elements of type 15) hold too much."""
+    budget = Budget(path)
+    with path.open("rb") as file:
+        head = file.read(HEADER)
+        order = {b"IM": "<", b"MI": ">"}.get(head[-2:])
+        while order is not None and len(tag := file.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            if kind != COMPRESSED:
+                file.seek(size, os.SEEK_CUR)
+                continue
+            budget.count(file.read(size), Zlib)
 
 
 def _tables(path: Path, name: str, fields: Mapping[str, Any], depth: int) -> Iterator[Table]:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from asammdf import MDF
 
+from vehicle_sbi.data.formats.limits import Budget
 from vehicle_sbi.data.formats.mdf_blocks import check_blocks
 from vehicle_sbi.data.formats.registry import CAN
 from vehicle_sbi.data.formats.table import Table, foreign, one_line
@@ -22,6 +23,7 @@ from vehicle_sbi.errors import InputError
 
 FRAME = "CAN_DataFrame"
 MASTERS = (2, 3)  # channel types of masters and virtual masters
+NUMBER = 8  # [bytes] of a time
 DEEPEST = 8  # conversions that refer to others
 FORMULA = re.compile(
     r"(?>\s+|\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|X1?\b|[-+*/(),]|(?:sin|cos|tan|exp|log|log10|sqrt|abs)\b)*+"
@@ -55,12 +57,13 @@ class Columns(Mapping[str, Any]):
 
 def read(path: Path, dbc: Path | None) -> tuple[Table, ...]:
     """A table a group that has a clock, or a CAN message; InputError if the file is damaged or holds none."""
-    check_blocks(path)
     if dbc is not None:
         CAN.check_installed(path)
     with foreign(path, "MDF"):
+        check_blocks(path)
         file = _opened(path)
         _check_formulas(path, file)
+        _check_sizes(path, file)
         frames = [i for i, group in enumerate(file.groups) if any(one.name == FRAME for one in group.channels)]
         measured = tuple(_groups(path, file, set(frames)))
     if dbc is not None:
@@ -134,6 +137,14 @@ def _check_formulas(path: Path, file: MDF) -> None:
                 if not FORMULA.fullmatch(formula) or "**" in formula:
                     said = f"has a conversion that is not evaluated: '{one_line(formula[:60])}'"
                     raise InputError(f"{path}: channel '{one_line(channel.name)}' {said}")
+
+
+def _check_sizes(path: Path, file: MDF) -> None:
+    """Raise InputError for groups that state more records than the file can hold: virtual channels need no data."""
+    budget = Budget(path)
+    for group in file.groups:
+        of: Any = group.channel_group
+        budget.take(of.cycles_nr * max(of.samples_byte_nr + of.invalidation_bytes_nr, NUMBER))
 
 
 def _formulas(path: Path, conversion: Any, depth: int) -> Iterator[str]:

@@ -1,12 +1,15 @@
 """The blocks of an MDF4 file, checked before a library follows their links: none ends beyond the file or in a circle.
 
-ASAM MDF 4.1, sec. 5: a block is an identifier, its length and its links; lists are linked by their first link.
+ASAM MDF 4.1, sec. 5: a block is an identifier, its length and its links; lists are linked by their first link. Blocks
+of data may be packed (DZ) and may be linked to many times: what they unpack to counts each time.
 """
 
 import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import BinaryIO
 
+from vehicle_sbi.data.formats.limits import Budget, Zlib
 from vehicle_sbi.errors import InputError
 
 HEADER = struct.Struct("<4s4xQQ")
@@ -16,6 +19,9 @@ FOLLOWED = {
     b"##DL": None, b"##LD": None, b"##CC": None, b"##CA": (0,), b"##AT": (0,), b"##EV": (0,), b"##CH": (0, 1),
 }  # fmt: skip
 """The links that own what they point to, by kind of block; None: all of them."""
+
+DATA = (b"##DT", b"##DV", b"##SD", b"##RD")
+PACKED, DEFLATED = struct.Struct("<2sBxIQQ"), (0, 1)  # of a DZ block: of what kind, packed how, its length, here
 
 MOST_BLOCKS = 2_000_000
 
@@ -35,9 +41,10 @@ def check_blocks(path: Path) -> None:
         _walk(path, file, size, finished=start[:3] == b"MDF")
 
 
-def _walk(path: Path, file, size: int, *, finished: bool) -> None:
+def _walk(path: Path, file: BinaryIO, size: int, *, finished: bool) -> None:
     """Depth first along the links; a block that is met again while what follows it is still open closes a circle."""
-    open_blocks, closed = {FIRST_BLOCK}, set()
+    open_blocks, closed, budget = {FIRST_BLOCK}, set(), Budget(path)
+    held: dict[int, int] = {}  # what blocks of data unpack to [bytes]
     stack = [(FIRST_BLOCK, list(_links(path, file, FIRST_BLOCK, size, finished=finished)))]
     while stack:
         address, links = stack[-1]
@@ -50,14 +57,32 @@ def _walk(path: Path, file, size: int, *, finished: bool) -> None:
         if following in open_blocks:
             raise InputError(f"{path}: its blocks lead in a circle at byte {following}: it is damaged")
         if following in closed:
+            budget.take(held.get(following, 0))
             continue
         if len(closed) + len(open_blocks) > MOST_BLOCKS:
             raise InputError(f"{path}: has more than {MOST_BLOCKS} blocks")
         open_blocks.add(following)
         stack.append((following, list(_links(path, file, following, size, finished=finished))))
+        before = budget.left
+        _count(file, following, budget)
+        held[following] = before - budget.left
 
 
-def _links(path: Path, file, address: int, size: int, *, finished: bool) -> Sequence[int]:
+def _count(file: BinaryIO, address: int, budget: Budget) -> None:
+    """Use up what a block of data holds, unpacked."""
+    file.seek(address)
+    kind, length, _ = HEADER.unpack(file.read(HEADER.size))
+    if kind in DATA:
+        budget.take(length)
+    elif kind == b"##DZ":
+        _, how, _, stated, packed = PACKED.unpack(file.read(PACKED.size))
+        left = budget.left
+        if how in DEFLATED:
+            budget.count(file.read(packed), Zlib)
+        budget.take(max(0, stated - (left - budget.left)))
+
+
+def _links(path: Path, file: BinaryIO, address: int, size: int, *, finished: bool) -> Sequence[int]:
     """The links of a block that own what they point to; InputError if it does not lie in the file."""
     if address + HEADER.size > size:
         raise InputError(f"{path}: a link leads to byte {address} of {size}: the file is truncated")

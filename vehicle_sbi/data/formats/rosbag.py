@@ -19,14 +19,17 @@ from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
+from vehicle_sbi.data.formats.limits import Budget
 from vehicle_sbi.data.formats.ros_definitions import DEFINITIONS
 from vehicle_sbi.data.formats.ros_messages import Definitions, UnreadableMessageError, numbers
+from vehicle_sbi.data.formats.ros_unpacking import bounded
 from vehicle_sbi.data.formats.table import Table, foreign, one_line
 from vehicle_sbi.errors import InputError
 
 LARGEST_MESSAGE = 16384  # [bytes]; images and point clouds are larger
 LONGEST_DELAY_S = 10.0  # between a message's stamp and its reception, beyond which the stamp is of another clock
 STAMPS = ("header.stamp", "stamp")
+COMPUTED = "SELECT count(*) FROM sqlite_master AS one, pragma_table_xinfo(one.name) AS it WHERE it.hidden > 0"
 BULK = ("uint8", "int8", "byte", "char", "octet")
 
 UNITS: Mapping[str, tuple[str, ...]] = {
@@ -54,10 +57,10 @@ class Topic:
 def read(path: Path) -> tuple[Table, ...]:
     """A table a topic that holds numbers; InputError if the bag is damaged or has none."""
     _check_storage(path)
-    ros2 = path.suffix.lower() != ".bag"
-    with foreign(path, "a ROS bag"), _opened(path) as reader:
+    ros2, budget = path.suffix.lower() != ".bag", Budget(path)
+    with foreign(path, "a ROS bag"), bounded(budget), _opened(path) as reader:
         definitions = _definitions(reader.connections, ros2=ros2)
-        topics = _topics(reader, definitions)
+        topics = _topics(reader, definitions, budget)
     start = min((topic.received[0] for topic in topics if topic.received), default=0)
     left_out: list[str] = []
     tables = [table for topic in topics if (table := _table(path, topic, definitions, start, left_out, ros2=ros2))]
@@ -84,6 +87,8 @@ def _check_storage(path: Path) -> None:
             raise InputError(f"{file}: a sqlite3 bag cannot be read from a path with ?, # or %: rename it")
         with foreign(file, "a ROS bag"), closing(sqlite3.connect(f"file:{quote(str(file))}?mode=ro", uri=True)) as base:
             kinds = {kind for (kind,) in base.execute("SELECT DISTINCT type FROM sqlite_master")}
+            if base.execute(COMPUTED).fetchone()[0]:
+                kinds.add("computed columns")
         if kinds - {"table", "index"}:
             raise InputError(f"{file}: is no ROS bag: its database holds {', '.join(sorted(kinds))}")
 
@@ -103,8 +108,11 @@ def _definitions(connections: Sequence[Connection], *, ros2: bool) -> Definition
     return known
 
 
-def _topics(reader: Reader1 | Reader2, definitions: Definitions) -> list[Topic]:
-    """The messages of every topic that is not images, point clouds or texts."""
+def _topics(reader: Reader1 | Reader2, definitions: Definitions, budget: Budget) -> list[Topic]:
+    """The messages of every topic that is not images, point clouds or texts.
+
+    An index may lead to one chunk many times, so what is kept counts too.
+    """
     wanted = [one for one in reader.connections if not _is_bulk(one.msgtype, definitions, 0)]
     topics: dict[str, Topic] = {}
     for one in wanted:
@@ -118,6 +126,7 @@ def _topics(reader: Reader1 | Reader2, definitions: Definitions) -> list[Topic]:
         if len(raw) > LARGEST_MESSAGE:
             topic.too_large += 1
             continue
+        budget.take(len(raw))
         topic.received.append(received)
         topic.raws.append(bytes(raw))
     return [topic for topic in topics.values() if topic.raws]

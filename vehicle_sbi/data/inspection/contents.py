@@ -32,8 +32,13 @@ class Column:
 
     @property
     def address(self) -> str:
-        """How a mapping names it: with its clock where the file has several."""
-        return f"{self.clock}/{self.name}" if self.clock else self.name
+        """How a mapping names it: with its clock where the file has several and the name does not begin with it."""
+        return f"{self.clock}/{self.name}" if self.clock and self.field == self.name else self.name
+
+    @property
+    def field(self) -> str:
+        """Its name within its clock: that of the message's field, of the group's channel."""
+        return next((self.name.removeprefix(p) for p in _prefixes(self.clock) if self.name.startswith(p)), self.name)
 
     @property
     def varies(self) -> bool:
@@ -71,6 +76,11 @@ class Contents:
     clock: Clock
     columns: tuple[Column, ...]
     other: tuple[str, ...]
+
+
+def _prefixes(clock: str) -> tuple[str, ...]:
+    """What names of columns may begin with: `/topic.`, `Message.`, `Group/`."""
+    return (f"{clock}.", f"{clock}/") if clock else ()
 
 
 def contents(path: Path, *, time: str | None = None, dbc: str | None = None) -> tuple[Contents, ...]:

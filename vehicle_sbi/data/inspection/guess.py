@@ -11,6 +11,7 @@ from vehicle_sbi.data.checks.drive import ALIKE
 from vehicle_sbi.data.checks.limits import LIMITS
 from vehicle_sbi.data.inspection.contents import Column
 from vehicle_sbi.data.inspection.names import (
+    COMMANDS,
     CORNERS,
     EITHER_STEERING,
     EXCLUDED,
@@ -72,12 +73,21 @@ def plain(name: str) -> str:
 
 
 def _channel(column: Column) -> tuple[str, int] | None:
-    """The channel that a column's name speaks for and the rank of the name, 0 the surest; None for no channel."""
+    """The channel that a column's name speaks for and the rank of the name, 0 the surest; None for no channel.
+
+    What a message or group is called speaks where the field's own name does not.
+    """
     if column.name in NATIVE:
         return NATIVE[column.name], -1
-    name, penalty = plain(column.name), 10 * bool(re.search(LESS, plain(column.name)))
-    if re.search(NEVER, name):
+    if re.search(COMMANDS, plain(column.name)) or re.search(NEVER, plain(column.field)):
         return None
+    names = dict.fromkeys((plain(column.field), plain(column.name)))
+    return next((found for name in names if (found := _called(name, column)) is not None), None)
+
+
+def _called(name: str, column: Column) -> tuple[str, int] | None:
+    """The channel that a plain name speaks for, and its rank."""
+    penalty = 10 * bool(re.search(LESS, name))
     corner = _corner(name)
     if re.search(WHEEL, name) and corner is not None and not re.search(NOT_SPEED, name):
         return _fitting(f"wheel_speed_{corner}", column, penalty)

@@ -9,6 +9,7 @@ from vehicle_sbi.data.channels import NEEDED
 from vehicle_sbi.data.checks.drive import STEERINGS
 from vehicle_sbi.data.inspection.contents import Contents, contents
 from vehicle_sbi.data.inspection.guess import Guess, guess
+from vehicle_sbi.data.mapping import mapping_file
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
 
@@ -34,7 +35,7 @@ class Inspection:
 
 
 def inspect(recording: RecordingFile) -> Inspection:
-    """Inspect a recording's file with the mapping that it has, or with one that is guessed.
+    """Inspect a recording's file with the mapping that it has, or, where it has none, with one that is guessed.
 
     Raises InputError for a file that cannot be read or has no times; what else is wrong is said in the answer.
     """
@@ -42,11 +43,10 @@ def inspect(recording: RecordingFile) -> Inspection:
         raise InputError("recording: is no file; recording=FILE, or a name that conf/recording has of one")
     path = Path(recording.path)
     tables = contents(path, time=recording.time, dbc=recording.dbc)
-    given = recording.mapping is not None
+    given = bool(recording.mapping)
     guesses = () if given else guess([column for table in tables for column in table.columns])
     asked = recording if given else replace(recording, mapping=mapping_of(guesses), **_times(recording, tables[0]))
-    channels = tuple(map(str, asked.mapping)) if isinstance(asked.mapping, Mapping) else ()
-    wrong, notes, unread = _read(asked)
+    channels, wrong, notes, unread = _read(asked)
     return Inspection(
         path=path,
         tables=tables,
@@ -83,12 +83,13 @@ def time_settings(table: Contents) -> dict[str, str]:
     return name | ({} if clock.time_unit == "s" else {"time_unit": clock.time_unit})
 
 
-def _read(recording: RecordingFile) -> tuple[tuple[str, ...], tuple[str, ...], str | None]:
-    """What the drive contradicts, what was done to it as it was read, and why it cannot be read."""
+def _read(recording: RecordingFile) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], str | None]:
+    """The drive's channels, what it contradicts, what was done to it as it was read, and why it cannot be read."""
     if not recording.mapping:
-        return (), (), "no column is recognised as a channel"
+        return (), (), (), "no column is recognised as a channel"
     try:
         drive = recording.load()
     except InputError as error:
-        return (), (), str(error)
-    return drive.warnings, drive.notes, None
+        mapped = recording.mapping if isinstance(recording.mapping, Mapping) else mapping_file(Path(recording.mapping))
+        return tuple(map(str, mapped)), (), (), str(error)
+    return tuple(drive.channels), drive.warnings, drive.notes, None

@@ -18,8 +18,8 @@ def _acceleration(axis: str, word: str, sides: str) -> tuple[str, ...]:
     """Names of an acceleration along an axis, by its letter, by a word for it, and by the side that it points to."""
     return (
         rf"(^|_){A}_?{axis}(_|$)|(^|_){axis}_?acc(el|eleration)?(_|\d|$)|linear_acceleration_{axis}",
-        rf"(^|_){word}_?{A}\d*$|(^|_)a(cc|ccel)?_?{word}\d*$",
-        rf"(^|_)g_?({word}|{axis})\d*$|(^|_)a(cc\w*)?_({sides})$",
+        rf"(^|_){word}_?{A}\d*$|(^|_){A}_?{word}\d*$",
+        rf"(^|_)g_?(force_?)?({word}|{axis})\d*$|(^|_)a(cc\w*)?_({sides})$",
     )
 
 
@@ -75,11 +75,12 @@ EXCLUDED: Mapping[str, str] = MappingProxyType(
 """Channel -> words in whose company its own words mean something else."""
 
 OPPOSITE = r"(^|_)(right|down)$"  # of ISO 8855, at the end of an axis' name
-EITHER_STEERING = r"(^|_)(steer|steering)(_?(angle|ang|pos|position))?\d*$"
+EITHER_STEERING = r"(^|_)(steer|steering|steered)(_?(angle|ang|pos|position))?\d*$"
 WHEEL = r"wh(ee)?l|(^|_)ws(_|$)|raddreh"
 NOT_SPEED = r"angle|ang$|slip|tq|torque|steer|temp|pos|press"
 TORQUE, NOT_TORQUE = r"tq|torque|moment", r"steer|eps|engine|eng_|driver|motor|brk|brake"
-NEVER = r"rms|cov|std_?dev|variance|quality|status|valid|temp|jerk|counter|target|desired|cmd|command|request|setpoint"
+COMMANDS = r"target|desired|cmd|command|request|setpoint"  # in the name of a message too
+NEVER = r"rms|cov|std_?dev|variance|quality|status|valid|temp|jerk|counter"
 LESS = r"raw|backup|_2$"  # what is preferred the least
 
 CORNERS: Mapping[str, str] = MappingProxyType(

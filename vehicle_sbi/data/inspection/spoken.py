@@ -18,8 +18,8 @@ def spoken(inspection: Inspection) -> str:
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
 
 
-def next_command(inspection: Inspection, mapping: Path, vehicle: Path, *, command: str) -> str:
-    """What to type when the files are edited."""
+def next_command(inspection: Inspection, mapping: Path | str, vehicle: Path, *, command: str) -> str:
+    """What to type when the files are edited; `mapping` is a file or a preset's name."""
     times = [f"recording.{key}={_value(value)}" for key, value in time_settings(inspection.tables[0]).items()]
     words = [f"recording={inspection.path}", f"mapping={mapping}", f"vehicle={vehicle}", *times]
     return " ".join([command, *map(shlex.quote, words)])
@@ -56,9 +56,9 @@ def _columns(table: Contents, users: dict[str, str]) -> Iterator[str]:
     yield f"    {'column':<{LONGEST}} {'unit':>6} {'from':>10} {'to':>10} {'absent':>6}  channel"
     for column in shown:
         yield _column(column, users.get(column.address, ""))
-    constant = [column.name for column in table.columns if not column.varies]
+    constant = [column.field for column in table.columns if not column.varies]
     for what, names in (
-        ("not shown", [column.name for column in varying if column not in shown]),
+        ("not shown", [column.field for column in varying if column not in shown]),
         ("constant", constant),
         ("without numbers", table.other),
     ):
@@ -73,7 +73,7 @@ def _place(column: Column, users: dict[str, str]) -> int:
 
 
 def _column(column: Column, channel: str) -> str:
-    name = column.name if len(column.name) <= LONGEST else f"{column.name[: LONGEST - 1]}…"
+    name = column.field if len(column.field) <= LONGEST else f"{column.field[: LONGEST - 1]}…"
     absent = f"{column.absent:.0%}" if column.absent else ""
     return (
         f"    {name:<{LONGEST}} {column.unit or '?':>6} {column.low:>10.4g} {column.high:>10.4g} {absent:>6}  {channel}"

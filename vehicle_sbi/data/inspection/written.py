@@ -82,6 +82,16 @@ def write(inspection: Inspection, folder: Path, *, overwrite: bool = False) -> t
     return mapping, vehicle
 
 
+def write_vehicle(inspection: Inspection, folder: Path) -> tuple[Path, bool]:
+    """The vehicle file, written unless it is there: what a given mapping leaves to edit. Whether it was written."""
+    stem = inspection.path.stem
+    path = folder / f"{stem}.vehicle.yaml"
+    absent = not path.exists()
+    if absent:
+        write_text(path, vehicle_text(stem, steered="steering_wheel" in inspection.channels))
+    return path, absent
+
+
 def mapping_text(inspection: Inspection) -> str:
     """The guessed mapping, a line a channel, with how sure it is and what else there is."""
     absent = [name for name in CHANNELS if name not in [one.channel for one in inspection.guesses]]

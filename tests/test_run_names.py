@@ -1,0 +1,81 @@
+"""A run's folder is called what its user typed, files by their names; studies that differ never share one."""
+
+from _entry import LONGEST_NAME, study_name
+from _entry.command_line import as_typed, spelled_out
+
+import itertools
+import re
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+HASHED = re.compile(r"-[0-9a-f]{8}$")
+FILES = {
+    "recording": ["drive.csv", "data/drive.csv", "/data/drive.csv", "my drive.csv", "drive.mcap", "ferrari_250lm"],
+    "mapping": ["my.yaml", "maps/my.yaml", "autoware"],
+    "vehicle": ["car.yaml", "cars/car.yaml", "bmw320i"],
+    "seed": ["1"],
+}
+
+
+def named(*typed: str) -> str:
+    """The name of what a command line asks for, as Hydra passes it on."""
+    return study_name(spelled_out(typed))
+
+
+@pytest.mark.parametrize(
+    ("typed", "name"),
+    [
+        (["recording=drive.csv"], "recording-drive.csv"),
+        (
+            ["recording=drive.csv", "mapping=my.yaml", "vehicle=car.yaml", "seed=3"],
+            "mapping-my.yaml+recording-drive.csv+seed-3+vehicle-car.yaml",
+        ),
+        (["recording=drive.mcap", "mapping=autoware"], "mapping-autoware+recording-drive.mcap"),
+        (["recording=volvo_s90_slalom"], "recording-volvo_s90_slalom"),
+    ],
+)
+def test_files_of_this_folder_are_named_as_typed(typed: Sequence[str], name: str) -> None:
+    assert named(*typed) == name
+
+
+@pytest.mark.parametrize(
+    ("typed", "name"),
+    [
+        (["recording=/data/2024/drive.csv", "vehicle=cars/car.yaml"], "recording-drive.csv+vehicle-car.yaml"),
+        (["recordings=[a/b.csv,'c d.csv']", "heldout=[x/e.csv]"], "heldout-e.csv+recordings-b.csv_c_d.csv"),
+        (["recordings=[a.csv]", "recording=other.csv"], "recording-other.csv+recordings-a.csv"),
+    ],
+)
+def test_what_is_left_out_of_a_name_leaves_eight_digits(typed: Sequence[str], name: str) -> None:
+    found = named(*typed)
+    assert HASHED.search(found)
+    assert HASHED.sub("", found) == name
+
+
+def test_names_of_different_files_differ_and_those_of_the_same_do_not_depend_on_their_order() -> None:
+    names = {}
+    for chosen in itertools.product(*([None, *values] for values in FILES.values())):
+        typed = [f"{key}={value}" for key, value in zip(FILES, chosen, strict=True) if value]
+        assert named(*typed) == named(*reversed(typed))
+        assert len(named(*typed)) <= LONGEST_NAME + 9
+        assert re.fullmatch(r"[\w.+-]+", named(*typed), flags=re.ASCII)
+        names[chosen] = named(*typed)
+    assert len(set(names.values())) == len(names)
+
+
+def test_an_option_and_a_path_of_its_name_are_two_studies() -> None:
+    assert named("recording=file", "recording.path=synthetic") != named("recording=synthetic")
+    assert named("recording.mapping=autoware") != named("mapping=autoware")
+
+
+def test_the_recording_that_a_list_implies_is_not_said_twice() -> None:
+    assert named("recordings=[a.csv,b.csv]") == named("recordings=[a.csv,b.csv]", "recording=a.csv")
+
+
+@given(st.text(min_size=1).map(lambda text: f"folder/{text}.csv"))
+def test_a_command_line_is_found_again_in_what_hydra_is_given(path: str) -> None:
+    typed = [f"recording={path}", f"vehicle={path}.yaml", f"mapping={path}.yml", "seed=1"]
+    assert as_typed(spelled_out(typed)) == typed
