@@ -12,7 +12,14 @@ from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import linear_gaussian, order
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, discrepancies, responses
-from vehicle_sbi.mismatch.selection.expand_and_prune import Budget, Pruned, _Round, _simulated, expand_and_prune
+from vehicle_sbi.mismatch.selection.expand_and_prune import (
+    Budget,
+    Pruned,
+    _Round,
+    as_far_as_simulated,
+    expand_and_prune,
+)
+from vehicle_sbi.mismatch.selection.extended import with_effects
 from vehicle_sbi.mismatch.selection.inclusion import Chain
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
@@ -115,16 +122,28 @@ def test_what_is_believed_to_be_rare_is_named_less(base: Fit, pruned: Pruned) ->
 def test_a_next_start_is_as_far_on_the_way_as_the_car_can_be_simulated(expanded: tuple[Expansion, Fit]) -> None:
     expansion, fit = expanded
     near = fit.theta + 0.01 * (expansion.rest - fit.theta)
-    assert _simulated(fit, near) == pytest.approx(near)
+    assert as_far_as_simulated(fit.simulator, fit.theta, near) == pytest.approx(near)
     spun = fit.theta.copy()  # the rear axle cannot hold a car whose mass lies there
     for name, value in {"l_f": 2.4, "delta_C_alpha_r": -0.9}.items():
         spun[expansion.space.column(name)] = value
     assert not np.isfinite(fit.simulator.noise_free(spun[None])).all()
-    start = _simulated(fit, spun)
+    start = as_far_as_simulated(fit.simulator, fit.theta, spun)
     share = (start - fit.theta)[spun != fit.theta] / (spun - fit.theta)[spun != fit.theta]
     assert np.ptp(share) < 1e-9
     assert 0.0 <= share[0] < 1.0
     assert np.isfinite(fit.simulator.noise_free(start[None])).all()
+
+
+def test_the_likeliest_model_is_fitted_although_no_draw_of_it_can_be_simulated(base: Fit, pruned: Pruned) -> None:
+    # Draws are those of a linear model: friction and stiffness may go together in it where the car spins.
+    effects = next(one for one in pruned.sets if one)
+    spun = pruned.theta.copy()
+    for name, value in {"l_f": 2.4, "delta_C_alpha_r": -0.9}.items():
+        spun[:, pruned.fit.simulator.space.column(name)] = value
+    usual, found = (with_effects(base, one, effects) for one in (pruned, replace(pruned, theta=spun)))
+    assert usual is not None
+    assert found is not None
+    assert found.fit.log_likelihood == pytest.approx(usual.fit.log_likelihood, abs=0.5)
 
 
 def test_a_friction_that_is_stated_too_high_is_found_although_nothing_changes_near_it() -> None:

@@ -5,8 +5,8 @@ has: bounds, and parameters of which only a product is known (a force and its le
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
+from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.inference.estimator import DensityEstimator
 from vehicle_sbi.inference.features import Features
 from vehicle_sbi.inference.proposal import draw
@@ -25,8 +25,8 @@ class Reinference:
     training: Training
     samples: int
 
-    def inferred(self, model: Model, checkpoints: Path) -> Model:
-        """The model with draws from its posterior; rounds that stand in `checkpoints` are not run again."""
+    def inferred(self, model: Model, checkpoints: Checkpoints) -> Model:
+        """The model with draws from its posterior; rounds that are kept there are not run again."""
         simulator, observed = model.fit.simulator, model.fit.observation.observed
         problem = Problem(simulator, observed, self.features, self.estimator, self.training)
         posterior = infer(problem, self.rounds, checkpoints).posterior
