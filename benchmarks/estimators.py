@@ -26,6 +26,7 @@ import yaml
 from sbi.utils.metrics import c2st
 from scipy.stats import norm
 
+from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.data.manoeuvre import Manoeuvre, Synthetic
 from vehicle_sbi.data.noise import ProcessNoise, ProportionalNoise
 from vehicle_sbi.inference.estimator import (
@@ -68,7 +69,7 @@ CASES: dict[str, tuple[DensityEstimator, Features, Scheme]] = {
 }
 
 
-def problem(manoeuvre: str) -> tuple[Problem, np.ndarray]:
+def problem(manoeuvre: str, seed: int = SEED) -> tuple[Problem, np.ndarray]:
     """The paper's study with a truth drawn from its prior, and that truth."""
     noise = conf("noise/paper")
     process = {key: value for key, value in noise.pop("process").items() if key != "_target_"}
@@ -87,14 +88,14 @@ def problem(manoeuvre: str) -> tuple[Problem, np.ndarray]:
         estimator=NeuralSplineFlow(),
         training=Training(),
         truth=None,
-        seed=SEED,
+        seed=seed,
     ).prepare()
     assert prepared.truth is not None
     return prepared.problem, prepared.truth
 
 
-def exact(simulator: Simulator, observed: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Draws (n, 6) of the exact posterior."""
+def exact(simulator: Simulator, observed: np.ndarray, truth: np.ndarray, seed: int = SEED) -> np.ndarray:
+    """Draws (n, 6) of the exact posterior, by an ensemble of walkers; those of one step lie together."""
     space, mixture = simulator.space, simulator.process.stiffness
     columns = [space.column(name) for name in SUMS]
     nominal = np.array([simulator.nominal[name.removeprefix("delta_")] for name in SUMS]) / 1e5
@@ -123,13 +124,13 @@ def exact(simulator: Simulator, observed: np.ndarray, truth: np.ndarray) -> np.n
         density[rows] += np.where(np.isfinite(likelihood), likelihood, -np.inf)
         return density
 
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(seed)
     about = np.append(truth, middle)
     start = about + 0.02 * np.append(space.high - space.low, half) * rng.standard_normal((WALKERS, len(about)))
     start[:, :-1] = np.clip(start[:, :-1], space.low + 1e-3, space.high - 1e-3)
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
     sampler = emcee.EnsembleSampler(WALKERS, len(about), log_posterior, vectorize=True, moves=moves)
-    sampler.random_state = np.random.RandomState(SEED).get_state()
+    sampler.random_state = np.random.RandomState(seed).get_state()
     sampler.run_mcmc(start, STEPS)
     q = np.asarray(sampler.get_chain(discard=WARM_UP, thin=THIN, flat=True))
     theta = q[:, :-1].copy()
@@ -171,7 +172,9 @@ def main(manoeuvre: str) -> None:
     for name, (estimator, features, scheme) in CASES.items():
         case = folder / name.replace(", ", "+")
         begin = time.perf_counter()
-        inference = infer(replace(base, estimator=estimator, features=features), scheme, case, quiet=True)
+        inference = infer(
+            replace(base, estimator=estimator, features=features), scheme, Checkpoints.as_found(case), quiet=True
+        )
         seconds = time.perf_counter() - begin
         timed = case / "seconds.txt"
         if not timed.exists():

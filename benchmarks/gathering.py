@@ -26,8 +26,8 @@ def run(*arguments: str) -> None:
 
 def rows(run: Path, experiment: str, choice: str) -> pd.DataFrame:
     """One run's table with what tells the runs apart: its seed and what it chose for the group `choice`."""
-    manifest = read(run).manifest
-    table = pd.read_csv(run / "table.csv")[KEPT]
+    finished = read(run)
+    manifest, table = finished.manifest, pd.read_csv(finished.file("table.csv"))[KEPT]
     table.insert(0, "seed", manifest["seed"])
     table.insert(0, choice, manifest["choices"][choice])
     table.insert(0, "experiment", experiment)

@@ -30,6 +30,7 @@ from estimators import ROOT, conf
 from jaxtyping import Float
 from measures import Measure, mean, median, rms, shown
 
+from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.data.manoeuvre import Manoeuvre, Synthetic
 from vehicle_sbi.data.noise import ConstantNoise, ProcessNoise
 from vehicle_sbi.inference.effect_prior import EffectPrior
@@ -104,7 +105,7 @@ def inferred(problem: Problem, true: Float[np.ndarray, " d"], than: "Inferred | 
     """A drive's base parameters and how long they took; widths over those of `than`."""
     simulator, begin = problem.simulator, time.perf_counter()
     with TemporaryDirectory() as folder:
-        posterior = infer(problem, ROUNDS, Path(folder), quiet=True).posterior
+        posterior = infer(problem, ROUNDS, Checkpoints(Path(folder)), quiet=True).posterior
     seconds = time.perf_counter() - begin
     seed_torch(seed=simulator.seed, stream=Stream.POSTERIOR)
     samples, spread = draw(posterior, simulator.space, SAMPLES), simulator.space.prior_std

@@ -24,8 +24,8 @@ def main(cfg: DictConfig) -> None:
     with run_folder(cfg, inputs=prepared.inputs) as folder:
         if not folder.finished:
             with folder.stage("rounds"):
-                inference = infer(prepared.problem, scheme, folder.path / "rounds")
-            report(folder, prepared, inference, samples=cfg.samples)
+                inference = infer(prepared.problem, scheme, folder.checkpoints)
+            report(folder, prepared, inference, samples=cfg.samples, reweight=cfg.reweight)
         show(folder)
 
 

@@ -18,8 +18,9 @@ from conftest import ROOT
 from test_case import written
 from test_run_script import ENVIRONMENT
 from test_run_script import run as infer
-from test_stage_file import Trap
+from test_stage_file import Trap, write
 
+from vehicle_sbi.files import sha256
 from vehicle_sbi.inference.directions import Direction
 from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.mismatch.design.identifiability import Card
@@ -29,8 +30,10 @@ from vehicle_sbi.mismatch.selection.detection import Examined
 from vehicle_sbi.mismatch.selection.extended import Extended
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
+from vehicle_sbi.report import manifest as manifests
+from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.extended import extended
-from vehicle_sbi.report.stage_file import read, write
+from vehicle_sbi.report.stage_file import read
 
 CHANNELS = "recording.channels=[a_x,a_y,yaw_rate]"
 BASE = ["vehicle=paper", "recording.drive=speed", CHANNELS, "++prior.steering_ratio.gain=null"]
@@ -43,10 +46,11 @@ def diagnose(*arguments: str) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-def goes_on(folder: Path) -> tuple[int, str, str]:
-    """The command of a run folder again, as after a kill in its last stage."""
-    manifest = json.loads((folder / "manifest.json").read_text())
-    (folder / "manifest.json").write_text(json.dumps(manifest | {"status": "running"}))
+def goes_on(folder: Path, *sealed: str) -> tuple[int, str, str]:
+    """The command of a run folder again, as after a kill in its last stage, with some files as they are now."""
+    manifest = manifests.read(folder)
+    manifest["files"] |= {name: sha256(folder / name) for name in sealed}
+    manifests.write(folder, manifest | {"status": "running"})
     overrides = yaml.safe_load((folder / ".hydra" / "overrides.yaml").read_text())
     return diagnose(*overrides, f"hydra.run.dir={folder}")
 
@@ -88,6 +92,15 @@ def test_the_verdict_is_what_the_format_promises(run: Path) -> None:
     assert set(verdict["base_parameters"]["l_f"]) == {"before", "after", "unit"}
     for parameter in best["parameters"].values():
         assert parameter["q05"] < parameter["mean"] < parameter["q95"]
+
+
+def test_the_draws_are_those_that_the_verdict_speaks_of(run: Path) -> None:
+    verdict, draws = json.loads((run / "verdict.json").read_text()), netcdf.read(run / "posterior.nc")
+    for name, one in verdict["base_parameters"].items():
+        assert draws[name].mean() == pytest.approx(one["after"]["mean"], rel=1e-9)
+        assert draws[name].std(ddof=0) == pytest.approx(one["after"]["std"], rel=1e-9)
+    missing = draws.notna().T.groupby(lambda name: name.split(".")[0]).any().T.mean()
+    assert {name: missing[name] for name in verdict["effects"]} == pytest.approx(verdict["effects"])
 
 
 def test_the_extended_model_is_a_configuration_of_run(run: Path, tmp_path: Path) -> None:
@@ -165,7 +178,7 @@ def test_why_the_fit_may_not_be_relied_on_is_printed(run: Path, tmp_path: Path) 
     shutil.copytree(run, folder)
     begun = read(folder / "stages" / "fit.npz", Begun)
     write(folder / "stages" / "fit.npz", replace(begun, gate=Gate(0.93, 0.0)), Begun)
-    status, out, err = goes_on(folder)
+    status, out, err = goes_on(folder, "stages/fit.npz")
     assert status == 0, err
     warning = next(line for line in out.splitlines() if "Pareto k = 0.93" in line)
     assert out.startswith("The base fit is doubtful. Missing: ")
@@ -227,22 +240,21 @@ def test_every_stage_that_was_kept_is_written_again_as_it_was_read(run: Path, tm
 
 
 def test_what_is_no_stage_is_not_run_and_its_stage_is_done_anew(run: Path, tmp_path: Path) -> None:
-    # One stage is a pickle that would write a file, of another a byte is wrong: a note of each, and the same answer.
+    # One stage is a pickle that would write a file, of another a byte is wrong: it says so, and the answer is the same.
     folder, sprung = tmp_path / "run", tmp_path / "sprung"
     shutil.copytree(run, folder)
     answer = (folder / "verdict.json").read_text()
-    (folder / "verdict.json").unlink()
-    (folder / "stages" / "directions.npz").write_bytes(pickle.dumps(Trap(sprung)))
+    (folder / "stages" / "examined.npz").write_bytes(pickle.dumps(Trap(sprung)))
     damaged = bytearray((folder / "stages" / "pruned.npz").read_bytes())
     damaged[len(damaged) // 2] ^= 1
     (folder / "stages" / "pruned.npz").write_bytes(damaged)
-    status, _, err = goes_on(folder)
+    overrides = yaml.safe_load((folder / ".hydra" / "overrides.yaml").read_text())
+    status, _, err = diagnose(*overrides, f"hydra.run.dir={folder}")
     assert status == 0, err
+    assert "examined.npz is damaged or missing; what rests on it is made anew" in err
     assert not sprung.exists()
     assert (folder / "verdict.json").read_text() == answer
-    notes = [line for line in (folder / "log.txt").read_text().splitlines() if line.endswith("is done anew")]
-    assert len(notes) == 2
-    for name in ("directions", "pruned"):
+    for name in ("directions", "examined", "pruned"):
         assert (folder / "stages" / f"{name}.npz").read_bytes() == (run / "stages" / f"{name}.npz").read_bytes()
 
 

@@ -3,8 +3,10 @@
 from _entry import LONGEST_NAME, study_name
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,11 +15,15 @@ import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 
-SCRIPT = """
+SITE = """
 import _entry.configuration
 from pathlib import Path
 
-_entry.configuration.CONF = Path(__file__).parent / "conf"
+_entry.configuration.CONF = Path(__file__).parent / "conf"  # in the processes of a sweep too
+"""
+SCRIPT = """
+import _entry
+from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
@@ -65,18 +71,32 @@ class Rounds:
 """
 
 
+FOREIGN = "_target_: pathlib.Path.touch, _args_: [sprung]"
+HOSTILE = {
+    "hostile": f"deeper: {{in: [{{{FOREIGN}}}]}}",
+    "callback": f"hydra: {{callbacks: {{mine: {{{FOREIGN}}}}}}}",
+    "logging": "hydra: {job_logging: {version: 1, root: {handlers: [x]}, handlers: {x: {(): pathlib.Path.touch}}}}",
+}
+ALIASES = ["a0: &a0 [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]"] + [
+    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)
+]
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A project of one script, with the project's own settings of Hydra."""
     ours = yaml.safe_load((ROOT / "conf" / "config.yaml").read_text())
     settings = [entry for entry in ours["defaults"] if "override hydra/" in str(entry)]
     files = {
+        "sitecustomize.py": SITE,
         "script.py": SCRIPT,
         "targets.py": TARGETS,
         "conf/rounds/several.yaml": "_target_: targets.Rounds\ncount: 5\n",
         "conf/rounds/single.yaml": "_target_: targets.Rounds\ncount: 1\n",
         "conf/experiment/misspelt.yaml": "# @package _global_\nrounds: {cuont: 3}\n",
         "conf/experiment/not_yaml.yaml": "rounds: [1\n",
+        "deep/experiment/one.yaml": "[" * 60 + "]" * 60,
+        "aliases/experiment/one.yaml": "\n".join(ALIASES),
         "conf/config.yaml": yaml.safe_dump(
             {
                 "defaults": ["_self_", {"rounds": "several"}, {"experiment": None}, *settings],
@@ -87,14 +107,15 @@ def folder(tmp_path: Path) -> Path:
             }
         ),
     }
-    for name, text in files.items():
+    hostile = {f"hostile/experiment/{name}.yaml": f"# @package _global_\n{text}\n" for name, text in HOSTILE.items()}
+    for name, text in {**files, **hostile}.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     return tmp_path
 
 
 def run(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    search = os.pathsep.join([str(ROOT / "scripts"), str(ROOT)])
+    search = os.pathsep.join([str(folder), str(ROOT / "scripts"), str(ROOT)])
     inherited = {key: value for key, value in os.environ.items() if key != "HYDRA_FULL_ERROR"}
     return subprocess.run(
         [sys.executable, "script.py", *arguments],
@@ -132,7 +153,23 @@ WRONG: Mapping[str, tuple[str, str]] = {
     "no key=value": ("seed", "cannot read 'seed' as key=value: missing EQUAL"),
     "unclosed": ("rounds=[a", "cannot read 'rounds=[a' as key=value: "),
     "sweep without -m": ("seed=1,2", "Ambiguous value for argument 'seed=1,2' "),
-    "unknown target": ("rounds._target_=targets.Nothing", "rounds: cannot import its _target_ 'targets.Nothing'"),
+    "unknown target": (
+        "rounds._target_=targets.Nothing",
+        "rounds: unknown _target_ 'targets.Nothing'; known: targets.Rounds",
+    ),
+    "foreign code": ("rounds={_target_:os.system}", "rounds: unknown _target_ 'os.system'"),
+    "foreign code in an experiment": (
+        "--config-dir=hostile experiment=hostile",
+        "deeper.in[0]: unknown _target_ 'pathlib.Path.touch'",
+    ),
+    "foreign code by Hydra": (
+        "--config-dir=hostile experiment=callback",
+        "hydra.callbacks.mine._target_ = pathlib.Path.touch: only Hydra",
+    ),
+    "foreign code by logging": (
+        "--config-dir=hostile experiment=logging",
+        "hydra.job_logging.handlers.x.() = pathlib.Path.touch: only",
+    ),
     "unknown reference": ("seed=${nothing}", "seed: Interpolation key 'nothing' not found"),
     "missing value": ("does=needs", "needed: Missing mandatory value: needed"),
     "extra argument": ("does=extra", "rounds: Rounds.__init__() got an unexpected keyword argument 'extra'"),
@@ -147,10 +184,11 @@ WRONG: Mapping[str, tuple[str, str]] = {
 @pytest.mark.parametrize("case", WRONG)
 def test_a_wrong_value_gets_one_line_and_leaves_no_folder(folder: Path, case: str) -> None:
     given, line = WRONG[case]
-    done = run(folder, given)
+    done = run(folder, *given.split(" ") if given.startswith("--") else [given])
     assert (done.returncode, done.stderr.count("\n"), done.stdout) == (2, 1, "")
     assert done.stderr.startswith(f"error: {line.replace('{folder}', str(folder))}")
     assert not list(folder.glob("outputs/*"))
+    assert not (folder / "sprung").exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
@@ -197,14 +235,42 @@ def test_a_run_writes_only_what_the_script_writes(folder: Path) -> None:
     assert written == [folder / "outputs" / "rounds-single+seed-1" / "done"]
 
 
-def test_threads_are_set_before_numpy_is_imported_unless_the_user_has_set_them(folder: Path) -> None:
+def test_threads_are_set_before_numpy_is_imported_whatever_the_environment_says(folder: Path) -> None:
     code = "import os, sys, _entry; print(os.environ['OMP_NUM_THREADS'], {'numpy', 'torch'} & sys.modules.keys())"
-    (folder / "script.py").write_text(code)
-    unset = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
-    environment = unset | {"PYTHONPATH": os.pathsep.join([str(ROOT / "scripts"), str(ROOT)])}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT / "scripts"), str(ROOT)])}
     call = [sys.executable, "-c", code]
-    assert subprocess.check_output(call, env=environment, text=True) == "1 set()\n"
-    assert subprocess.check_output(call, env=environment | {"OMP_NUM_THREADS": "3"}, text=True) == "3 set()\n"
+    for threads in ("1", "3"):
+        assert subprocess.check_output(call, env=environment | {"OMP_NUM_THREADS": threads}, text=True) == "1 set()\n"
+
+
+@pytest.mark.parametrize(("name", "said"), [("deep", "nested deeper than 50 levels"), ("aliases", "more than 100,000")])
+def test_a_file_that_stands_for_more_than_a_configuration_gets_one_line(folder: Path, name: str, said: str) -> None:
+    done = run(folder, f"--config-dir={name}", "experiment=one")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert said in done.stderr
+
+
+@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("moment", ["import", "work"])
+def test_an_interruption_at_any_moment_gets_one_line(folder: Path, asked: signal.Signals, moment: str) -> None:
+    waits = "open('waits', 'w').close(); import time; time.sleep(60)"
+    script = f"import _entry\n{waits}" if moment == "import" else SCRIPT.replace("raise KeyboardInterrupt", waits)
+    (folder / "script.py").write_text(script)
+    search = os.pathsep.join([str(folder), str(ROOT / "scripts"), str(ROOT)])
+    with subprocess.Popen(
+        [sys.executable, "script.py", "does=interrupted"],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": search},
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        while not (folder / "waits").exists() and process.poll() is None:
+            time.sleep(0.05)
+        process.send_signal(asked)
+        _, said = process.communicate(timeout=20)
+    assert said.count("\n") == 1
+    assert "the same command continues" in said
+    assert process.returncode in (-asked, 128 + asked)  # as a shell reports either
 
 
 def test_the_name_of_a_study_does_not_depend_on_the_order_of_its_keys() -> None:

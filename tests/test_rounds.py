@@ -9,6 +9,7 @@ import pytest
 import torch
 from studies import PRIOR, constant_noise, simulator
 
+from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Embedding, Features, Handcrafted, Score
@@ -60,30 +61,45 @@ def same(a: Round, b: Round) -> bool:
 @pytest.mark.parametrize("name", SCHEMES)
 def test_an_interrupted_study_ends_where_an_uninterrupted_one_does(tmp_path: Path, name: str) -> None:
     study, scheme = problem(), SCHEMES[name]
-    whole = infer(study, scheme, tmp_path / "whole", quiet=True)
+    whole = infer(study, scheme, Checkpoints(tmp_path / "whole"), quiet=True)
     first = one_round(study, scheme, Inference((), ()), quiet=True)
-    first.save(tmp_path / "parts/round_0.pt")
+    parts = Checkpoints(tmp_path / "parts")
+    first.save(parts, "rounds/round_0.pt")
     torch.rand(1234)  # the interruption leaves torch's generator anywhere
-    resumed = infer(problem(), scheme, tmp_path / "parts", quiet=True)
+    resumed = infer(problem(), scheme, parts, quiet=True)
     assert len(whole.rounds) == scheme.rounds
     assert all(same(a, b) for a, b in zip(whole.rounds, resumed.rounds, strict=True))
     np.testing.assert_array_equal(samples_of(whole), samples_of(resumed))
     for k in range(scheme.rounds):
-        assert (tmp_path / f"whole/round_{k}.pt").read_bytes() == (tmp_path / f"parts/round_{k}.pt").read_bytes()
+        files = [tmp_path / of / "rounds" / f"round_{k}.pt" for of in ("whole", "parts")]
+        assert files[0].read_bytes() == files[1].read_bytes()
 
 
 def test_finished_rounds_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    study = problem()
-    first = infer(study, Truncated(rounds=1, simulations=60), tmp_path, quiet=True)
+    study, kept = problem(), Checkpoints(tmp_path)
+    first = infer(study, Truncated(rounds=1, simulations=60), kept, quiet=True)
     monkeypatch.setattr("vehicle_sbi.inference.rounds.one_round", lambda *_, **__: pytest.fail("ran again"))
-    again = infer(study, Truncated(rounds=1, simulations=60), tmp_path, quiet=True)
+    again = infer(study, Truncated(rounds=1, simulations=60), kept, quiet=True)
     np.testing.assert_array_equal(samples_of(first), samples_of(again))
 
 
 def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
-    (tmp_path / "round_0.pt").write_bytes(b"half a checkp")
+    (tmp_path / "rounds").mkdir()
+    (tmp_path / "rounds/round_0.pt").write_bytes(b"half a checkp")
     with pytest.raises(InputError, match=r"round_0\.pt: no checkpoint of a round .*; delete it to redo it"):
-        infer(problem(), SCHEMES["truncated"], tmp_path, quiet=True)
+        infer(problem(), SCHEMES["truncated"], Checkpoints.as_found(tmp_path), quiet=True)
+
+
+def test_a_round_that_is_not_as_it_was_left_is_run_again_and_those_after_it(tmp_path: Path) -> None:
+    kept = Checkpoints(tmp_path)
+    first = infer(problem(), SCHEMES["truncated"], kept, quiet=True)
+    before, files = {**kept.sealed}, [tmp_path / f"rounds/round_{k}.pt" for k in range(2)]
+    files[0].write_bytes(files[0].read_bytes()[:-1] + b"?")
+    changed = files[1].stat().st_mtime_ns
+    again = infer(problem(), SCHEMES["truncated"], kept, quiet=True)
+    assert all(same(a, b) for a, b in zip(first.rounds, again.rounds, strict=True))
+    assert kept.sealed == before
+    assert files[1].stat().st_mtime_ns > changed
 
 
 @pytest.mark.parametrize(
@@ -91,7 +107,7 @@ def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize("name", ["truncated", "corrected"])
 def test_every_kind_of_features_goes_with_every_scheme(tmp_path: Path, features: Features, name: str) -> None:
-    found = infer(problem(features), SCHEMES[name], tmp_path, quiet=True)
+    found = infer(problem(features), SCHEMES[name], Checkpoints(tmp_path), quiet=True)
     assert np.isfinite(samples_of(found)).all()
     assert [len(r.theta) for r in found.rounds] == [60, 60]
 
@@ -99,9 +115,9 @@ def test_every_kind_of_features_goes_with_every_scheme(tmp_path: Path, features:
 def test_a_posterior_is_rebuilt_from_its_checkpoint(tmp_path: Path) -> None:
     study = problem()
     finished = one_round(study, SCHEMES["truncated"], Inference((), ()), quiet=True)
-    finished.save(tmp_path / "round.pt")
+    path = finished.save(Checkpoints(tmp_path), "round.pt")
     theta = torch.tensor([[1.2, 0.1, -0.1], [1.4, 0.0, 0.2]])
-    rounds = (finished, Round.load(tmp_path / "round.pt"))
+    rounds = (finished, Round.load(path))
     densities = [posterior_of(study, r).log_prob(theta, norm_posterior=False) for r in rounds]  # type: ignore[call-arg]
     torch.testing.assert_close(densities[0], densities[1])
 
@@ -112,7 +128,7 @@ def test_the_first_round_comes_from_the_prior_and_the_second_from_where_the_firs
     study = problem(Handcrafted(), training=Training(batch_size=50, max_epochs=30, learning_rate=5e-3))
     used, estimated = [], Support.of
     monkeypatch.setattr(Support, "of", lambda *of: used.append(estimated(*of)) or used[-1])
-    found = infer(study, Truncated(rounds=2, simulations=200), tmp_path, quiet=True)
+    found = infer(study, Truncated(rounds=2, simulations=200), Checkpoints(tmp_path), quiet=True)
     space = study.simulator.space
     first, second = (r.theta.numpy() for r in found.rounds)
     # The standard deviation of n uniform draws scatters by sqrt((kurtosis - 1) / 4n), of kurtosis 1.8; five of these.
@@ -155,7 +171,7 @@ def test_features_that_lose_information_do_not_begin_there(features: Features) -
 
 def test_the_last_round_is_the_largest_and_the_longest(tmp_path: Path) -> None:
     study = problem(training=Training(batch_size=20, steps=60, stop_after_epochs=100))
-    found = infer(study, Truncated(rounds=2, simulations=60, last=3, early=0.5), tmp_path, quiet=True)
+    found = infer(study, Truncated(rounds=2, simulations=60, last=3, early=0.5), Checkpoints(tmp_path), quiet=True)
     assert [len(r.theta) for r in found.rounds] == [60, 180]
     assert [len(r.states) for r in found.rounds] == [1, 1]
     steps = [len(r.validation_loss[0]) * (int(0.9 * r.trained_on) // 20) for r in found.rounds]
@@ -165,13 +181,13 @@ def test_the_last_round_is_the_largest_and_the_longest(tmp_path: Path) -> None:
 
 def test_only_the_last_round_trains_an_ensemble(tmp_path: Path) -> None:
     study = problem(training=replace(QUICK, members=2))
-    found = infer(study, Truncated(rounds=2, simulations=60), tmp_path, quiet=True)
+    found = infer(study, Truncated(rounds=2, simulations=60), Checkpoints(tmp_path), quiet=True)
     assert [len(r.states) for r in found.rounds] == [1, 2]
 
 
 def test_members_of_an_ensemble_differ_and_are_mixed(tmp_path: Path) -> None:
     study = problem(training=replace(QUICK, members=2))
-    found = infer(study, Truncated(rounds=1, simulations=60), tmp_path, quiet=True)
+    found = infer(study, Truncated(rounds=1, simulations=60), Checkpoints(tmp_path), quiet=True)
     states = found.rounds[0].states
     assert len(states) == len(found.rounds[0].validation_loss) == 2
     assert any(not torch.equal(states[0][key], states[1][key]) for key in states[0])
@@ -198,7 +214,7 @@ def test_failures_are_counted(tmp_path: Path) -> None:
     truth = np.array([[1.05, 5.9e4]])
     observed = sim.simulate(truth, np.array([0]), stream=Stream.TRUTH)[0][0].astype(float)
     study = Problem(sim, observed, Handcrafted(), SMALL, QUICK)
-    found = infer(study, Amortised(simulations=300), tmp_path, quiet=True).rounds[0]
+    found = infer(study, Amortised(simulations=300), Checkpoints(tmp_path), quiet=True).rounds[0]
     assert 0 < found.failed < 300
     assert found.trained_on == 300 - found.failed
 
@@ -207,7 +223,7 @@ def test_a_prior_where_everything_spins_out_is_refused(tmp_path: Path) -> None:
     sim = simulator({"l_f": [1.4, 1.5], "C_alpha_r": [1e4, 1.1e4]}, steering_amplitude=0.3)
     study = Problem(sim, np.zeros(sim.shape), Handcrafted(), SMALL, QUICK)
     with pytest.raises(InputError, match="simulation fails; the prior lies where the vehicle spins out"):
-        infer(study, SCHEMES["truncated"], tmp_path, quiet=True)
+        infer(study, SCHEMES["truncated"], Checkpoints(tmp_path), quiet=True)
     assert not list(tmp_path.iterdir())
 
 
@@ -232,7 +248,7 @@ def test_truncated_rounds_reach_the_bound(tmp_path: Path) -> None:
     observed = sim.simulate(truth[None], np.array([0]), stream=Stream.TRUTH)[0][0].astype(float)
     training = Training(batch_size=200, learning_rate=2e-3, max_epochs=100)
     study = Problem(sim, observed, Score(), NeuralSplineFlow(hidden_features=30, num_transforms=2), training)
-    found = infer(study, Truncated(rounds=5, simulations=1500), tmp_path, quiet=True)
+    found = infer(study, Truncated(rounds=5, simulations=1500), Checkpoints(tmp_path), quiet=True)
     torch.manual_seed(0)
     samples = draw(found.posterior, sim.space, 4000)
     fit, _ = best_fit(sim, observed, truth[None])

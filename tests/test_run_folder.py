@@ -6,6 +6,7 @@ import logging
 import multiprocessing
 import os
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ def test_a_new_folder_says_what_runs_and_on_what(tmp_path: Path) -> None:
     with opened(tmp_path / "run", choices={"prior": "default"}):
         pass
     written = manifest(tmp_path / "run")
-    assert (written["schema"], written["status"], written["seed"]) == (1, "running", 3)
+    assert (written["schema"], written["status"], written["seed"]) == (2, "running", 3)
     assert written["inputs"] == INPUTS
     assert written["packages"]["numpy"]
     assert written["peak_memory_mb"] > 0
@@ -70,6 +71,100 @@ def test_nothing_is_logged_after_closing(tmp_path: Path) -> None:
     before = logging.getLogger().handlers[:]
     opened(tmp_path).close()
     assert logging.getLogger().handlers == before
+
+
+def kept(run: RunFolder, name: str, content: bytes) -> None:
+    run.checkpoints.write(name, lambda file: file.write(content))
+
+
+def finished(path: Path) -> None:
+    with opened(path) as run:
+        kept(run, "stages/fit.npz", b"fit")
+        kept(run, "stages/extended.npz", b"extended")
+        (path / "table.csv").write_text("a table")
+        run.complete()
+
+
+def test_a_checkpoint_counts_only_as_the_run_left_it(tmp_path: Path) -> None:
+    with opened(tmp_path) as run:
+        kept(run, "stages/fit.npz", b"fit")
+        (tmp_path / "stages/foreign.npz").write_bytes(b"of another run")
+    with opened(tmp_path) as run:
+        assert run.checkpoints.kept("stages/fit.npz") == tmp_path / "stages/fit.npz"
+        assert run.checkpoints.kept("stages/foreign.npz") is None
+    (tmp_path / "stages/fit.npz").write_bytes(b"fix")
+    with opened(tmp_path) as run:
+        assert run.checkpoints.kept("stages/fit.npz") is None
+
+
+def test_what_was_made_after_a_checkpoint_falls_with_it(tmp_path: Path) -> None:
+    with opened(tmp_path) as run:
+        for name in "abc":
+            kept(run, name, name.encode())
+        kept(run, "b", b"anew")
+    with opened(tmp_path) as run:
+        assert [run.checkpoints.kept(name) is not None for name in "abc"] == [True, True, False]
+
+
+@pytest.mark.parametrize("name", ["table.csv", "stages/fit.npz"])
+@pytest.mark.parametrize("harm", ["gone", "cut", "changed"])
+def test_a_finished_run_with_a_damaged_file_goes_on_from_what_is_whole(tmp_path: Path, name: str, harm: str) -> None:
+    finished(tmp_path)
+    content = (tmp_path / name).read_bytes()
+    if harm == "gone":
+        (tmp_path / name).unlink()
+    else:
+        (tmp_path / name).write_bytes(content[:-1] + b"?" * (harm == "changed"))
+    with pytest.raises(InputError, match="damaged or missing"):
+        read(tmp_path).file(name)
+    with opened(tmp_path) as run:
+        assert not run.finished
+        assert f"{name} is damaged or missing" in run.notices[0]
+        assert run.checkpoints.kept("stages/extended.npz")
+
+
+def test_checkpoints_without_a_manifest_are_of_nobody(tmp_path: Path) -> None:
+    (tmp_path / "rounds").mkdir()
+    with pytest.raises(InputError, match=r"holds rounds/ but no manifest\.json"):
+        opened(tmp_path)
+
+
+def test_an_unfinished_run_of_other_code_is_done_anew_and_a_finished_one_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finished(tmp_path / "finished")
+    with opened(tmp_path / "begun") as run:
+        kept(run, "stages/fit.npz", b"fit")
+    monkeypatch.setattr("vehicle_sbi.report.manifest._code", lambda: "of tomorrow")
+    for _ in range(2):  # to be opened does not make it this version's
+        with opened(tmp_path / "finished") as run:
+            assert run.finished
+            assert "made by another version (code)" in run.notices[0]
+    with opened(tmp_path / "begun") as run:
+        assert "done anew" in run.notices[0]
+        assert run.checkpoints.kept("stages/fit.npz") is None
+
+
+def test_every_byte_of_a_manifest_counts(tmp_path: Path) -> None:
+    finished(tmp_path)
+    whole = (tmp_path / "manifest.json").read_bytes()
+    for at in range(0, len(whole), max(1, len(whole) // 100)):
+        (tmp_path / "manifest.json").write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        try:
+            same = json.loads((tmp_path / "manifest.json").read_bytes()) == json.loads(whole)  # a blank is no content
+        except ValueError:
+            same = False
+        with nullcontext() if same else pytest.raises(InputError, match=r"manifest"):
+            read(tmp_path)
+
+
+def test_what_a_killed_write_left_is_removed(tmp_path: Path) -> None:
+    left = tmp_path / "rounds" / ".round_0.pt.abc123.part"
+    opened(tmp_path).close()
+    left.parent.mkdir()
+    left.write_bytes(b"half")
+    opened(tmp_path).close()
+    assert not left.exists()
 
 
 @pytest.mark.parametrize(

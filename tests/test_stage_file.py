@@ -14,6 +14,7 @@ import pytest
 from conftest import ROOT
 from recorded import TRUTH, lateral, recorded
 
+from vehicle_sbi.files import write_atomically
 from vehicle_sbi.inference.directions import directions
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import Gate
@@ -25,7 +26,13 @@ from vehicle_sbi.mismatch.selection.detection import Examined
 from vehicle_sbi.mismatch.selection.score_test import Group, Scores
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE, RECORD
-from vehicle_sbi.report.stage_file import StageFileError, dataclasses_in, read, write
+from vehicle_sbi.report import stage_file
+from vehicle_sbi.report.stage_file import StageFileError, dataclasses_in, read
+
+
+def write(path: Path, value: Any, kind: Any) -> None:
+    write_atomically(path, lambda file: stage_file.write(file, value, kind))
+
 
 UNSAFE = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
 GAIN = Parameter(name="a.gain", unit="1", low=-1.0, high=1.0, fields=("gain",), null=0.0)

@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import yaml
 from jaxtyping import Float
 
+from vehicle_sbi import plain_yaml
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.formats.table import Table
 from vehicle_sbi.data.units import UNITS, factor, known_unit
 from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.plain_yaml import UnreadableYaml
 
 Built = TypeVar("Built")
 
@@ -139,9 +140,9 @@ def mapping_file(path: Path) -> Mapping[str, Candidates]:
     if not path.is_file():
         raise InputError(f"mapping: {path}: no such file")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"mapping: {path}: not valid YAML: {str(error).splitlines()[0]}") from error
+        content = plain_yaml.load(path)
+    except UnreadableYaml as error:
+        raise InputError(f"mapping: {path}: {error}") from None
     if not isinstance(content, Mapping) or not all(isinstance(one, Mapping | list) for one in content.values()):
         raise InputError(f"mapping: {path}: must hold lines such as `v_x: {{column: speed, unit: km/h}}`")
     return content

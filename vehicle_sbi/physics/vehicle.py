@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
-import yaml
-
+from vehicle_sbi import plain_yaml
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.plain_yaml import UnreadableYaml
 
 GRAVITY = 9.81
 AIR_DENSITY = 1.225
@@ -98,11 +98,11 @@ def read(path: str) -> Vehicle:
     """The vehicle of a YAML file: the constants of `Vehicle` by name. Raises InputError for anything else."""
     file = Path(path)
     try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        content = plain_yaml.load(file)
     except OSError as error:
         raise InputError(f"vehicle file {path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError):
-        raise InputError(f"vehicle file {path}: not YAML; write one constant a line, as in 'm: 1500.0'") from None
+    except UnreadableYaml as error:
+        raise InputError(f"vehicle file {path}: {error}; write one constant a line, as in 'm: 1500.0'") from None
     if not isinstance(content, dict):
         raise InputError(f"vehicle file {path}: holds no constants; write one a line, as in 'm: 1500.0'")
     known = [field.name for field in fields(Vehicle)]

@@ -16,12 +16,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from jaxtyping import AbstractArray
 
-from vehicle_sbi.files import write_atomically
+from vehicle_sbi.errors import InputError
 
 FORMAT = 1
 PLAIN = (NoneType, bool, int, float, str)
@@ -30,12 +30,12 @@ Result = TypeVar("Result")
 Node = tuple[str, Any]
 
 
-class StageFileError(ValueError):
-    """A file that is damaged, foreign or of another version, so that its stage has to be done anew."""
+class StageFileError(InputError):
+    """A file that is damaged, foreign or of another version."""
 
 
-def write(path: Path, result: Result, kind: type[Result]) -> None:
-    """Write a stage's result, of the type `kind`, whole or not at all.
+def write(file: BinaryIO, result: Result, kind: type[Result]) -> None:
+    """Write a stage's result, of the type `kind`.
 
     TypeError with the place in the tree for what is no data, or a dataclass that `kind` has no place for.
     """
@@ -44,7 +44,7 @@ def write(path: Path, result: Result, kind: type[Result]) -> None:
     root = flat.value(result, "")
     tree = json.dumps({"version": _version(known), "nodes": flat.nodes, "root": root}, separators=(",", ":"))
     members: dict[str, Any] = {"tree": np.frombuffer(tree.encode(), np.uint8), **flat.arrays}
-    write_atomically(path, lambda file: np.savez(file, **members))  # noise does not compress
+    np.savez(file, **members)  # noise does not compress
 
 
 def read(path: Path, kind: type[Result]) -> Result:

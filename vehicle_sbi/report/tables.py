@@ -370,7 +370,7 @@ def read_table(file: Path) -> pd.DataFrame:
 
 
 def _run_table(run: FinishedRun, base: Path) -> pd.DataFrame:
-    table = read_table(run.path / "table.csv")
+    table = read_table(run.file("table.csv"))
     # The seed and the folder say which run of a study it is, not which study.
     study = " ".join(sorted(o for o in run.overrides if not o.lstrip("+~").startswith(("seed=", "hydra."))))
     about = {

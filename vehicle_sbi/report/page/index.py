@@ -11,7 +11,7 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_text
 from vehicle_sbi.report.page.page import templates
 from vehicle_sbi.report.page.run import headline
-from vehicle_sbi.report.run_folder import is_finished, read
+from vehicle_sbi.report.run_folder import FinishedRun, is_finished, read
 from vehicle_sbi.report.tables import read_table
 
 DIAGNOSIS, RUN = "diagnosis", "run"
@@ -37,8 +37,9 @@ class Row:
         try:
             if not is_finished(path):
                 return cls(path, kind, UNFINISHED, "The same command again continues it.", "", page)
-            started = str(read(path).manifest.get("started", ""))[:16].replace("T", " ")
-            return cls(path, kind, COMPLETE, _headline(path, kind), started, page)
+            run = read(path)
+            started = str(run.manifest.get("started", ""))[:16].replace("T", " ")
+            return cls(path, kind, COMPLETE, _headline(run, kind), started, page)
         except (InputError, OSError, ValueError, LookupError, TypeError) as error:
             return cls(path, kind, BROKEN, _reason(error, path), "", page)
 
@@ -81,10 +82,10 @@ def _kind(path: Path) -> str:
     return DIAGNOSIS if (path / "verdict.json").exists() or (path / "stages").exists() else RUN
 
 
-def _headline(path: Path, kind: str) -> str:
+def _headline(run: FinishedRun, kind: str) -> str:
     if kind == DIAGNOSIS:
-        return str(json.loads((path / "verdict.json").read_bytes())["headline"])
-    return headline(read_table(path / "table.csv"))
+        return str(json.loads(run.file("verdict.json").read_bytes())["headline"])
+    return headline(read_table(run.file("table.csv")))
 
 
 def _reason(error: Exception, path: Path) -> str:
