@@ -22,6 +22,7 @@ from vehiclemodels.vehicle_parameters import VehicleParameters, setup_vehicle_pa
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.answer.schema import Verdict
 from vehicle_sbi.physics.vehicle import GRAVITY
+from vehicle_sbi.report import manifest as manifests
 from vehicle_sbi.report.export.export import FORMATS, export
 from vehicle_sbi.report.export.writing import number, one_line
 from vehicle_sbi.report.run_folder import RunFolder
@@ -376,6 +377,7 @@ def test_what_cannot_be_exported_says_why_and_writes_nothing(
 )
 def test_a_damaged_folder_is_one_line(tmp_path: Path, file: str, content: str | None, message: str) -> None:
     run_of(tmp_path)
+    manifests.write(tmp_path, manifests.read(tmp_path) | {"files": {}})  # as if it had been left like that
     if content is None:
         (tmp_path / file).unlink()
     else:
@@ -383,6 +385,13 @@ def test_a_damaged_folder_is_one_line(tmp_path: Path, file: str, content: str | 
     with pytest.raises(InputError, match=message) as caught:
         export(tmp_path, "autoware")
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_changed_after_the_run_is_not_exported(tmp_path: Path) -> None:
+    run_of(tmp_path)
+    (tmp_path / "samples.parquet").write_bytes((tmp_path / "samples.parquet").read_bytes() + b"x")
+    with pytest.raises(InputError, match=r"samples.parquet is damaged or missing"):
+        export(tmp_path, "autoware")
 
 
 def script(*arguments: str) -> tuple[int, str, str]:

@@ -5,7 +5,8 @@ import pytest
 from recorded import fitted, lateral, recorded
 
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
-from vehicle_sbi.mismatch.estimation.fit_check import GAP, TRUSTED, Gate, gate, pareto_k, through
+from vehicle_sbi.inference.importance import TRUSTED, pareto_k
+from vehicle_sbi.mismatch.estimation.fit_check import GAP, Gate, gate, through
 
 
 @pytest.mark.parametrize("k", [0.3, 0.9])

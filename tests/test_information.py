@@ -219,7 +219,7 @@ def test_laplace_is_the_gaussian_about_the_fit_of_a_series_without_noise() -> No
     sim = sim.with_noise(replace(sim.noise, share=share, floor=0.1 * sim.noise.floor))
     found = laplace(sim, sim.noise_free(MIDDLE[None])[0], MIDDLE[None] + [[0.1, 0.1, -0.1]])
     assert found is not None
-    mean, covariance = found
+    mean, covariance = found.marginal
     expected = np.linalg.inv(fisher(sim, MIDDLE) + np.diag(sim.space.prior_std**-2.0))
     std = np.sqrt(np.diag(expected))
     np.testing.assert_allclose((mean - MIDDLE) / std, 0.0, atol=0.05)
@@ -232,7 +232,7 @@ def test_a_fit_that_ignores_correlation_says_as_much_as_its_score_varies() -> No
     sim = sim.with_noise(replace(sim.noise, rho=np.linspace(0.5, 0.9, len(sim.windows.channels))))
     found = laplace(sim, sim.noise_free(MIDDLE[None])[0], MIDDLE[None])
     assert found is not None
-    at = sensitivity(sim, found[0])
+    at = sensitivity(sim, found.theta)
     J = at.jacobian / sim.noise.std(at.y)
     lags = np.abs(np.subtract.outer(*[np.arange(sim.shape[1])] * 2))
     B = sum(J[:, c] @ (rho**lags) @ J[:, c].T for c, rho in enumerate(sim.noise.rho))
@@ -241,9 +241,9 @@ def test_a_fit_that_ignores_correlation_says_as_much_as_its_score_varies() -> No
     prior[:d] = sim.space.prior_std**-2.0
     expected = np.linalg.inv(M @ np.linalg.solve(B, M) + np.diag(prior))[:d, :d]
     std = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(found[1] / np.outer(std, std), expected / np.outer(std, std), atol=1e-6)
+    np.testing.assert_allclose(found.marginal[1] / np.outer(std, std), expected / np.outer(std, std), atol=1e-6)
     everything = np.linalg.inv(joint_fisher(sim, at) + np.diag(prior))[:d, :d]
-    assert (np.diag(found[1]) >= np.diag(everything)).all()
+    assert (np.diag(found.marginal[1]) >= np.diag(everything)).all()
 
 
 def test_a_fit_that_explains_little_says_nothing_about_the_posterior() -> None:

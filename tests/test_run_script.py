@@ -16,6 +16,8 @@ import pytest
 import yaml
 from conftest import ROOT
 
+from vehicle_sbi.report import netcdf
+
 QUICK = ["experiment=smoke", "rounds.simulations=100", "training.max_epochs=3", "samples=200"]
 INHERITED = {key: value for key, value in os.environ.items() if key != "HYDRA_FULL_ERROR"}
 ENVIRONMENT = INHERITED | {"NUMBA_NUM_THREADS": "1"}
@@ -63,7 +65,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_run_leaves_what_it_promises(whole: Path) -> None:
     promised = (
-        "manifest.json log.txt table.csv table.md table.tex samples.parquet posterior.pt report.html "
+        "manifest.json log.txt table.csv table.md table.tex samples.parquet posterior.nc posterior.pt report.html "
         ".hydra/config.yaml rounds/round_0.pt rounds/round_1.pt"
     )
     for name in promised.split():
@@ -72,6 +74,7 @@ def test_a_run_leaves_what_it_promises(whole: Path) -> None:
     assert not [path for path in whole.rglob(".*.*") if path.is_file() and path.parent.name != ".hydra"]
     table, samples = pd.read_csv(whole / "table.csv"), pd.read_parquet(whole / "samples.parquet")
     assert list(table["parameter"]) == list(samples.columns)
+    pd.testing.assert_frame_equal(netcdf.read(whole / "posterior.nc"), samples)
     columns = "parameter unit prior_low prior_high true mean std q05 q50 q95 bound_std contraction identified"
     assert set(columns.split()) <= set(table.columns)
     assert len(samples) == 200

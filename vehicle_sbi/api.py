@@ -1,8 +1,11 @@
 """The package in Python: `from vehicle_sbi import read, identify, diagnose, simulate`.
 
-What is not said is as the command line has it: defaults come from the same files in conf/.
+What is not said is as the command line has it: defaults come from the same files in conf/. Set OMP_NUM_THREADS,
+OPENBLAS_NUM_THREADS and MKL_NUM_THREADS to 1 before numpy is imported, as the scripts do: threads of torch beside those
+of the simulations make a study many times slower.
 """
 
+import json
 import pydoc
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -16,11 +19,15 @@ import pandas as pd
 import yaml
 from matplotlib.figure import Figure
 
+from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.command import CONF
 from vehicle_sbi.data.manoeuvre import Manoeuvre
+from vehicle_sbi.data.noise import ConstantNoise, ProcessNoise
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError, unknown
+from vehicle_sbi.files import write_text
+from vehicle_sbi.inference.predictive import Predictive
 from vehicle_sbi.inference.setup import Setup
 from vehicle_sbi.mismatch.answer.schema import Verdict
 from vehicle_sbi.mismatch.answer.verdict import Found, verdict
@@ -28,11 +35,20 @@ from vehicle_sbi.mismatch.pipeline import steps
 from vehicle_sbi.mismatch.problem.case import Case, Diagnosis
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.physics.vehicle import read as read_vehicle
+from vehicle_sbi.report import netcdf
 from vehicle_sbi.rng import Stream, generator
+from vehicle_sbi.rounding import mean_and_std
 
-if TYPE_CHECKING:  # they need torch and sbi, which take seconds to import
+if TYPE_CHECKING:  # they need torch, sbi or xarray, which take long to import
+    from xarray import DataTree
+
     from vehicle_sbi.inference.rounds import Inference
     from vehicle_sbi.inference.study import Prepared
+
+COMMANDS = ("steering", "torque_front", "torque_rear")
+"""What drives a simulated manoeuvre."""
+
+SHOWN = 10  # effects in the table of a notebook
 
 Source = str | Path | RecordingFile | Recording
 Box = Mapping[str, Any]
@@ -48,7 +64,7 @@ class Held(RecordingFile):
         return self.recording
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Identified:
     """Parameters of a vehicle: `table` (a row each), `samples` (a column each) of the posterior, and sbi's own."""
 
@@ -56,6 +72,7 @@ class Identified:
     samples: pd.DataFrame
     prepared: "Prepared"
     inference: "Inference"
+    predicted: Predictive
 
     @property
     def posterior(self) -> Any:
@@ -63,21 +80,42 @@ class Identified:
         return self.inference.posterior
 
     def plot(self) -> Figure:
-        """The posterior of each parameter, with its 90 % interval."""
+        """The posterior of each parameter, with its 90 % interval; the outermost 1 % of the samples is left out."""
         rows = self.table.set_index("parameter")
         figure = Figure(figsize=(2.4 * len(rows), 2.2), layout="constrained")
         panels = figure.subplots(1, len(rows), squeeze=False)[0]
         for axes, (name, row) in zip(panels, rows.iterrows(), strict=True):
-            axes.hist(self.samples[str(name)], bins=40, histtype="stepfilled", alpha=0.6)
+            values = self.samples[str(name)]
+            shown = (values.quantile(0.005), values.quantile(0.995))
+            axes.hist(values, bins=40, range=shown, histtype="stepfilled", alpha=0.6)
             axes.axvspan(row["q05"], row["q95"], color="0.5", alpha=0.2)
+            axes.locator_params(axis="x", nbins=3)
             axes.set(xlabel=f"{name} [{row['unit']}]", yticks=[])
         return figure
 
+    @cached_property
+    def datatree(self) -> "DataTree":
+        """Draws of posterior and prior, observed channels and predicted bands, as xarray and ArviZ have them."""
+        simulator = self.prepared.problem.simulator
+        origin = netcdf.Origin.here(self.prepared.name, simulator.seed)
+        return netcdf.of_run(self.prepared, self.samples.to_numpy(), self.predicted, origin)
+
+    def to_netcdf(self, path: str | Path) -> None:
+        """Write them to a NetCDF-4 file, which ArviZ reads."""
+        netcdf.write(Path(path), self.datatree)
+
+    def __repr__(self) -> str:
+        from vehicle_sbi.report.tables import terminal
+
+        return terminal(self.table)
+
     def _repr_html_(self) -> str:
-        return self.table.to_html(index=False)
+        from vehicle_sbi.report.tables import for_people, html
+
+        return html(for_people(self.table))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosed:
     """What a simulation lacks: the `verdict`, and what each step found."""
 
@@ -90,6 +128,32 @@ class Diagnosed:
         """Each effect with the probability that it is missing, whatever else is; the likeliest first."""
         p = self.verdict.effects
         return pd.DataFrame({"effect": [*p], "probability": [*p.values()]})
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """Each base parameter before, in the base model, and after, with what is missing averaged over."""
+        given: dict[str, Any] = self.verdict.base_parameters
+        rows = [
+            {"parameter": name, "unit": one["unit"]}
+            | {f"{key} {when}": one[when][key] for when in ("before", "after") for key in ("mean", "std")}
+            for name, one in given.items()
+        ]
+        return pd.DataFrame(rows)
+
+    @cached_property
+    def datatree(self) -> "DataTree":
+        """Joint draws of base parameters and effects with observed channels, as xarray and ArviZ have them.
+
+        Raises InputError where there are none, since the model with every effect in cannot be simulated.
+        """
+        if self.found.pruned is None:
+            raise InputError(f"{self.case.name}: no draws; the model with every effect in cannot be simulated")
+        origin = netcdf.Origin.here(self.case.name, self.case.observation.simulator.seed)
+        return netcdf.of_diagnosis(self.case, self.found.pruned, origin)
+
+    def to_netcdf(self, path: str | Path) -> None:
+        """Write them to a NetCDF-4 file, which ArviZ reads."""
+        netcdf.write(Path(path), self.datatree)
 
     def plot(self) -> Figure:
         """Probabilities of the effects that are likelier than 5 %."""
@@ -104,11 +168,21 @@ class Diagnosed:
     def __str__(self) -> str:
         return "\n".join([self.verdict.headline, *self.verdict.lines])
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def _repr_html_(self) -> str:
         from html import escape
 
+        from vehicle_sbi.report.tables import html
+
+        effects = self.table.head(SHOWN).assign(probability=lambda t: t["probability"].map("{:.2f}".format))
+        given = self.parameters
+        base = given[["parameter", "unit"]].copy()
+        for when in ("before", "after"):
+            base[when] = [*map(mean_and_std, given[f"mean {when}"], given[f"std {when}"])]
         lines = "".join(f"<p>{escape(line)}</p>" for line in self.verdict.lines)
-        return f"<h4>{escape(self.verdict.headline)}</h4>{lines}{self.table.head(10).to_html(index=False)}"
+        return f"<h4>{escape(self.verdict.headline)}</h4>{lines}{html(effects)}{html(base)}"
 
 
 def read(path: str | Path, mapping: Mapping[str, Any] | None = None, **settings: Any) -> Recording:
@@ -123,30 +197,32 @@ def identify(
     prior: str | Box = "lateral",
     rounds: str | Mapping[str, Any] = "truncated",
     samples: int = 5000,
+    reweight: bool = True,
     folder: str | Path | None = None,
     quiet: bool = False,
     **settings: Any,
 ) -> Identified:
     """Parameters of a vehicle from a recording, by rounds of neural posterior estimation.
 
-    `prior` names a file of conf/prior or maps parameters to [low, high]; `rounds` names a scheme or changes numbers of
-    the default one ({"simulations": 1000}); `settings` are those of a study: drive, effects, window_s, seed, … In
-    `folder` rounds are kept, and taken from there by the same call.
+    `prior` names a file of conf/prior or maps parameters to [low, high]. `rounds` names a scheme or changes numbers of
+    the default one ({"simulations": 1000}), as do `training` and `noise`. Other `settings` are those of a study: drive,
+    effects, window_s, seed, … In `folder` rounds are kept, and taken from there by the same call.
     """
     from vehicle_sbi.inference.rounds import infer
     from vehicle_sbi.inference.study import Study
     from vehicle_sbi.report.results import results
 
     parts = {"features": "score", "estimator": "nsf", "training": "default", "noise": "estimated"}
-    built = {group: _built(group, settings.pop(group, name)) for group, name in parts.items()}
+    built = {group: _chosen(group, name, settings.pop(group, name)) for group, name in parts.items()}
     study = Study(**_common(recording, vehicle, prior, settings, window_s=5.0), **built, truth=None)
-    scheme = _built("rounds", rounds) if isinstance(rounds, str) else _built("rounds", "truncated", rounds)
+    scheme = _chosen("rounds", "truncated", rounds)
     prepared = study.prepare()
     with tempfile.TemporaryDirectory() as nowhere:
-        inference = infer(prepared.problem, scheme, Path(folder or nowhere), quiet=quiet)
-    found = results(prepared, inference, samples=samples)
+        inference = infer(prepared.problem, scheme, _rounds(Path(folder or nowhere)), quiet=quiet)
+    found = results(prepared, inference, samples=samples, reweight=reweight)
     names = list(prepared.problem.simulator.space.names)
-    return Identified(found.table, pd.DataFrame(found.samples, columns=names), prepared, inference)
+    samples_by_name = pd.DataFrame(found.samples, columns=names)
+    return Identified(found.table, samples_by_name, prepared, inference, found.predicted)
 
 
 def diagnose(
@@ -165,7 +241,7 @@ def diagnose(
     common = _common(fitted[0], vehicle, prior, settings, window_s=10.0)
     diagnosis = Diagnosis(
         **common,
-        noise=_built("noise", settings.pop("noise", "estimated")),
+        noise=_chosen("noise", "estimated", settings.pop("noise", "estimated")),
         recordings=fitted,
         heldout=held,
         effect_prior=_built("effect_prior", effect_prior),
@@ -182,25 +258,39 @@ def simulate(
     model: str = "single_track",
     **parameters: float,
 ) -> pd.DataFrame:
-    """What sensors would read, without noise, of a vehicle in a manoeuvre: a column a channel, in native names.
+    """What drives a vehicle in a manoeuvre and what sensors would read of it, without noise: a column a channel, in
+    native names, so that it is a recording once it is written to a file.
 
     `parameters` are constants of the vehicle, or of effects with "__" for the dot: `l_f=1.4, aero_drag__area=0.6`.
     """
     from vehicle_sbi.data.channels import CHANNELS
+    from vehicle_sbi.physics.single_track import INPUTS
 
     driven = manoeuvre if isinstance(manoeuvre, Manoeuvre) else _built("manoeuvre", manoeuvre)
     car, values = _vehicle(vehicle), {name.replace("__", "."): float(x) for name, x in parameters.items()}
     values = values or {"l_f": float(car.l_f or 0.0)}
+    noise = ConstantNoise(std=dict.fromkeys(driven.channels, 1.0), process=ProcessNoise(stiffness=0.0))
     setup = Setup(
         vehicle=car, model=model, drive="torque", prior={name: _about(x) for name, x in values.items()},
-        effects=[], window_s=driven.duration, warmup_s=0.0, noise=_built("noise", "paper"), seed=0,
+        effects=[], window_s=driven.duration, warmup_s=0.0, noise=noise, seed=0,
     )  # fmt: skip
     windows = driven.windows(car)
     space = setup.space(windows)
     simulator = setup.simulator(space, windows, uniform_start=False)
     y = simulator.noise_free(np.array([[values[name] for name in space.names]]))[0]
+    driven_by = {CHANNELS[name].column: windows.u[0, :, INPUTS.index(name)] for name in COMMANDS}
     table = {CHANNELS[name].column: series for name, series in zip(windows.channels, y, strict=True)}
-    return pd.DataFrame({"time_s": windows.t.reshape(-1), **table})
+    return pd.DataFrame({"time_s": windows.t.reshape(-1), **driven_by, **table})
+
+
+def _rounds(folder: Path) -> Checkpoints:
+    """Rounds in a folder, those of an earlier call if its file of hashes has them."""
+    file = folder / "rounds.json"
+    try:
+        sealed = dict(json.loads(file.read_bytes())) if file.exists() else {}
+    except (ValueError, TypeError):
+        raise InputError(f"{file}: not the hashes of rounds; remove the folder or choose another") from None
+    return Checkpoints(folder, sealed, lambda: write_text(file, json.dumps(sealed)))
 
 
 def _common(
@@ -247,6 +337,11 @@ def _option(group: str, name: str) -> Path:
     if not path.is_file():
         raise unknown("option", name, [file.stem for file in (CONF / group).glob("*.yaml")], group)
     return path
+
+
+def _chosen(group: str, usual: str, given: Any) -> Any:
+    """What an option's name, changes of the usual option, or an object itself stand for."""
+    return _built(group, usual, given) if isinstance(given, Mapping) else _built(group, given)
 
 
 def _built(group: str, name: str | Any, changes: Mapping[str, Any] | None = None) -> Any:

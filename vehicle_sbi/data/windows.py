@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from vehicle_sbi.data.channels import DRIVEN_BY
 from vehicle_sbi.errors import InputError
@@ -41,6 +41,20 @@ class Windows:
         """The group of sensors of each channel that is recorded, and of the speeds that drive the model."""
         driving = dict.fromkeys(DRIVEN_BY[drive], self.speed_group)
         return driving | dict(zip(self.channels, self.groups, strict=True))
+
+    def only(self, which: Int[np.ndarray, " k"]) -> "Windows":
+        """Some of the windows alone, in the order that is asked for."""
+        length = self.t.shape[1]
+        samples = (which[:, None] * length + np.arange(length)).reshape(-1)
+        return replace(
+            self,
+            u=self.u[which],
+            y=self.y[:, samples],
+            valid=self.valid[:, samples],
+            x0=self.x0[which],
+            t=self.t[which],
+            recordings=tuple(self.recordings[k] for k in which) if self.recordings else (),
+        )
 
 
 def one_after_another(recordings: Sequence[Sequence[Windows]]) -> list[float]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from tqdm import tqdm
 
 from vehicle_sbi.inference.prior import reported
 from vehicle_sbi.inference.simulator import Simulator
@@ -221,7 +222,8 @@ def _shaped(simulator: Simulator, theta: Float[np.ndarray, " d"], direction: Dir
 
 def left_out(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> list[Direction]:
     """Directions of every effect of the catalogue along what of it is not fitted."""
-    return [direction for effect in CATALOGUE.values() for direction in directions(simulator, theta, effect)]
+    every = tqdm(CATALOGUE.values(), desc="effects", disable=None, leave=False)
+    return [direction for effect in every for direction in directions(simulator, theta, effect)]
 
 
 def tile(simulator: Simulator) -> float:

@@ -22,6 +22,7 @@ Series = Float[np.ndarray, "n channels time"]
 Theta = Float[np.ndarray, "pilots d"]
 Summary = Callable[[Series], np.ndarray]
 TINY = 1e-12
+AT_ONCE = 2**23  # numbers of pilot simulations that are looked at together
 INFORMATIVE = 1e-4  # information, in units of the prior's, below which a direction of the score is left out
 
 
@@ -158,8 +159,7 @@ class Score:
 
     def fit(self, simulator: Simulator, fiducial: Float[np.ndarray, " d"], theta: Theta, pilot: Series) -> Summary:
         model = Linearised.about(simulator, fiducial)
-        variance = simulator.noise.std(pilot).astype(float).reshape(len(pilot), -1) ** 2
-        std = np.sqrt(variance.mean(axis=0))
+        std = usual_noise(simulator, pilot)
         if len(simulator.plausible):
             return _explained(model, std * slow(simulator), len(model.J) if self.nuisances else len(fiducial))
         if not simulator.noise.share.any():
@@ -172,6 +172,13 @@ class Score:
 
     def network(self, channels: int, time: int) -> nn.Module | None:
         return None
+
+
+def usual_noise(simulator: Simulator, pilot: Series) -> Float[np.ndarray, " samples"]:
+    """Root mean square over the pilots of the noise's standard deviation at each sample, a stretch of time at once."""
+    parts = np.array_split(pilot, -(-pilot.size // AT_ONCE), axis=-1)
+    mean = [(simulator.noise.std(part).astype(float) ** 2).mean(axis=0) for part in parts]
+    return np.sqrt(np.concatenate(mean, axis=-1)).reshape(-1)
 
 
 def _seen(information: Float[np.ndarray, "p p"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "p k"]]:

@@ -15,9 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from scipy.stats import norm
+from tqdm import tqdm
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.simulator import Simulator
@@ -55,16 +56,48 @@ def sensitivity(
     d, e, slabs = len(theta), len(simulator.nuisances), simulator.plausible
     eta, box = np.zeros(e) if eta is None else eta, simulator.nuisance_box
     width = np.concatenate([simulator.space.high - simulator.space.low, np.ones(e - len(slabs))])
-    steps = np.concatenate([STEP * width, slabs.steps])
-    points = np.concatenate([np.zeros((1, d + e)), np.diag(steps), -np.diag(steps)])
+    steps, moves = np.concatenate([STEP * width, slabs.steps]), _moves(simulator, d + e)
+    points = np.concatenate([np.zeros((1, d + e)), steps * moves, -steps * moves])
     moved = np.clip(eta + points[:, d:], *box)
     y = simulator.noise_free(theta + points[:, :d], moved)
-    up, down = y[1 : 1 + d + e], y[1 + d + e :]
-    between = np.concatenate([2 * steps[:d], (moved[1 + d : 1 + d + e] - moved[1 + d + e + d :]).diagonal()])
-    jacobian = (up - down) / between[:, None, None]
+    up, down = np.split(moved[1:], 2)
+    between = np.concatenate([2 * steps[:d], np.sum((up - down) * moves[:, d:], axis=0)])
+    jacobian = _jacobian(simulator, moves, between, *np.split(y[1:], 2))
     first = d + e - len(slabs)
     jacobian[first:] = np.nan_to_num(jacobian[first:])
     return Sensitivity(theta, y[0], jacobian)
+
+
+def _initial(simulator: Simulator, p: int) -> tuple[slice, int]:
+    """Where initial states are among p parameters and nuisances, window after window, and how many a window has."""
+    each, last = len(simulator.uncertain_states), p - len(simulator.plausible)
+    return slice(last - each * len(simulator.windows.x0), last), each
+
+
+def _moves(simulator: Simulator, p: int) -> Bool[np.ndarray, "moves p"]:
+    """What is moved together: a parameter or a nuisance alone, an initial state in all windows, which do not see each
+    other's. So their number does not grow with the recording."""
+    where, each = _initial(simulator, p)
+    kind = np.arange(p)
+    kind[where] = where.start + np.arange(where.stop - where.start) % max(each, 1)
+    return kind == np.unique(kind)[:, None]
+
+
+def _jacobian(
+    simulator: Simulator,
+    moves: Bool[np.ndarray, "moves p"],
+    between: Float[np.ndarray, " p"],
+    up: Float[np.ndarray, "moves channels time"],
+    down: Float[np.ndarray, "moves channels time"],
+) -> Float[np.ndarray, "p channels time"]:
+    """Differences as derivatives, those by initial states in their own windows alone."""
+    (where, each), length = _initial(simulator, len(between)), simulator.windows.t.shape[1]
+    found = np.zeros((len(between), *up.shape[1:]))
+    for k, row in enumerate(moves.argmax(axis=0)):
+        window = (k - where.start) // each if where.start <= k < where.stop else None
+        seen = slice(None) if window is None else slice(window * length, (window + 1) * length)
+        found[k, :, seen] = (up[row, :, seen] - down[row, :, seen]) / between[k]
+    return found
 
 
 def joint_fisher(simulator: Simulator, at: Sensitivity) -> Float[np.ndarray, "p p"]:
@@ -163,7 +196,7 @@ def _least_squares(
     begin = [np.concatenate([np.clip((s - space.low) / width, 1e-3, 1 - 1e-3), eta]) for s, eta in starts]
     fits = [
         least_squares(residual, z, jac=jacobian, bounds=bounds, max_nfev=MOST_STEPS, ftol=1e-5)  # pyright: ignore[reportArgumentType]
-        for z in begin
+        for z in tqdm(begin, desc="fits", disable=None if len(begin) > 1 else True, leave=False)
     ]
     best = min(fits, key=lambda fit: fit.cost).x
     theta, eta = space.low + best[:d] * width, best[d:]
@@ -172,17 +205,32 @@ def _least_squares(
     return theta, eta
 
 
+@dataclass(frozen=True)
+class Laplace:
+    """Laplace's approximation to the posterior of (theta, eta), the box taken for a Gaussian: fit and covariance."""
+
+    theta: Float[np.ndarray, " d"]
+    eta: Float[np.ndarray, " e"]
+    covariance: Float[np.ndarray, "p p"]
+
+    @property
+    def marginal(self) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, "d d"]]:
+        """Mean and covariance of theta."""
+        d = len(self.theta)
+        return self.theta, self.covariance[:d, :d]
+
+
 def laplace(
     simulator: Simulator, observed: Float[np.ndarray, "channels time"], starts: Float[np.ndarray, "n d"]
-) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, "d d"]] | None:
-    """Mean and covariance of theta in Laplace's approximation to its posterior, the box taken for a Gaussian.
+) -> Laplace | None:
+    """Laplace's approximation about the best fit from any start.
 
     None where the model does not explain what was observed, so that its fit says little. Each fit is weighted by the
     noise that the one before implies; weights by what was observed would favour low values. They take noise as
     independent, so where it is not the posterior is that given the fit, wider than that given the series. (MacKay,
     Information Theory, Inference, and Learning Algorithms, ch. 27.)
     """
-    noise, valid, space, d = simulator.noise, simulator.windows.valid, simulator.space, len(simulator.space)
+    noise, valid = simulator.noise, simulator.windows.valid
     none = np.zeros(len(simulator.nuisances))
     fit = _least_squares(simulator, observed, _observed_std(simulator, observed), [(start, none) for start in starts])
     for _ in range(REWEIGHTED):
@@ -192,9 +240,9 @@ def laplace(
     at = sensitivity(simulator, theta, eta)
     if np.mean(((observed - at.y) / noise.std(at.y))[valid] ** 2) > EXPLAINED:
         return None
-    prior = np.diag(np.concatenate([space.prior_std**-2.0, np.ones(len(eta))]))
+    prior = np.diag(np.concatenate([simulator.space.prior_std**-2.0, np.ones(len(eta))]))
     F = _fit_information(simulator, at) if noise.rho.any() else joint_fisher(simulator, at)
-    return theta, np.linalg.inv(F + prior)[:d, :d]
+    return Laplace(theta, eta, np.linalg.inv(F + prior))
 
 
 def _fit_information(simulator: Simulator, at: Sensitivity) -> Float[np.ndarray, "p p"]:

@@ -24,17 +24,18 @@ from sbi.utils import BoxUniform
 from torch import Tensor
 from tqdm import tqdm
 
+from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.files import write_atomically
 from vehicle_sbi.inference.estimator import Builder, DensityEstimator, behind
 from vehicle_sbi.inference.features import Features, Summary
-from vehicle_sbi.inference.information import laplace
+from vehicle_sbi.inference.information import Laplace, laplace
 from vehicle_sbi.inference.proposal import Neighbourhood, Support, acceptance, box, draw, inside, truncated_prior
 from vehicle_sbi.inference.simulator import Simulator, succeeded
 from vehicle_sbi.inference.training import EpochSeen, Fit, Simulations, Training, fit
 from vehicle_sbi.rng import Stream, generator, seed_torch
 
-CHUNK = 500  # simulations whose series are in memory at once
+CHUNK = 500  # simulations whose series are in memory at once, if they are short
+MOST_NUMBERS = 2**25  # of them; longer series are made fewer at a time
 PILOT = 1000  # simulations that normalise the features, as in the paper
 FIDUCIAL_DRAWS = 5_000
 FIT_STARTS = 4  # of the fit that the first round proposes about
@@ -60,18 +61,23 @@ class Problem:
         return box(self.simulator.space)
 
     @cached_property
-    def neighbourhood(self) -> tuple[Neighbourhood, ...]:
-        """Where a fit leaves the parameters: a single region, or none where the features say less than the fit uses.
+    def laplace(self) -> Laplace | None:
+        """Laplace's approximation about the fit, if the model explains what was observed.
 
         None either with plausible effects free: each is there or not, so no normal about a fit holds the posterior.
         """
         simulator, space = self.simulator, self.simulator.space
-        if not self.features.efficient or len(simulator.plausible):
-            return ()
+        if len(simulator.plausible):
+            return None
         rng = generator(seed=simulator.seed, stream=Stream.STUDY, index=3)
         drawn = rng.uniform(space.low, space.high, (FIT_STARTS - 1, len(space)))
-        found = laplace(simulator, self.observed, np.concatenate([(space.low + space.high)[None] / 2, drawn]))
-        return () if found is None else (Neighbourhood(*found),)
+        return laplace(simulator, self.observed, np.concatenate([(space.low + space.high)[None] / 2, drawn]))
+
+    @property
+    def neighbourhood(self) -> tuple[Neighbourhood, ...]:
+        """Where a fit leaves the parameters: a single region, or none where the features say less than the fit uses."""
+        found = self.laplace if self.features.efficient else None
+        return () if found is None else (Neighbourhood(*found.marginal),)
 
     def builder(self) -> Builder:
         """A builder with a fresh embedding network."""
@@ -102,8 +108,8 @@ class Round:
     acceptance: float
     surprise: float
 
-    def save(self, path: Path) -> None:
-        write_atomically(path, lambda file: torch.save(vars(self), file))
+    def save(self, checkpoints: Checkpoints, name: str) -> Path:
+        return checkpoints.write(name, lambda file: torch.save(vars(self), file))
 
     @classmethod
     def load(cls, path: Path) -> "Round":
@@ -259,12 +265,17 @@ def _continued(build: Builder, state: dict[str, Tensor]) -> Builder:
     return build_continued
 
 
+def at_once(simulator: Simulator) -> int:
+    """Simulations whose series are in memory at once."""
+    return max(1, min(CHUNK, MOST_NUMBERS // int(np.prod(simulator.shape))))
+
+
 def simulate_features(
     simulator: Simulator, theta: np.ndarray, rows: np.ndarray, *, round: int, summary: Summary, bar: tqdm
 ) -> tuple[np.ndarray, np.ndarray]:
     """Features (rows, ...) of some simulations of a round, and which of them succeeded, made a chunk at a time."""
     x, good = [], []
-    for chunk in np.array_split(rows, max(1, -(-len(rows) // CHUNK))):
+    for chunk in np.array_split(rows, max(1, -(-len(rows) // at_once(simulator)))):
         y, outcomes = simulator.simulate(theta[chunk], chunk, stream=Stream.SIMULATION, round=round)
         x.append(np.asarray(summary(y), dtype=np.float32))
         good.append(succeeded(outcomes) & np.isfinite(x[-1]).reshape(len(chunk), -1).all(axis=1))
@@ -297,13 +308,12 @@ def posterior_of(problem: Problem, round: Round) -> NeuralPosterior:
     return members[0] if len(members) == 1 else EnsemblePosterior(members).set_default_x(round.x_o)
 
 
-def infer(problem: Problem, scheme: Scheme, checkpoints: Path, *, quiet: bool = False) -> Inference:
+def infer(problem: Problem, scheme: Scheme, checkpoints: Checkpoints, *, quiet: bool = False) -> Inference:
     """Run all rounds, each taken from its checkpoint where there is one."""
     done = Inference((), ())
     for k in range(scheme.rounds):
-        path = checkpoints / f"round_{k}.pt"
-        if not path.exists():
-            one_round(problem, scheme, done, quiet=quiet).save(path)
+        name = f"rounds/round_{k}.pt"
+        path = checkpoints.kept(name) or one_round(problem, scheme, done, quiet=quiet).save(checkpoints, name)
         finished = Round.load(path)
         done = Inference((*done.rounds, finished), (*done.posteriors, posterior_of(problem, finished)))
     return done
@@ -382,4 +392,5 @@ def fit_features(problem: Problem, theta: Sequence[np.ndarray], round: int, fidu
     good = succeeded(outcomes)
     if not good.any():
         raise InputError("every pilot simulation fails; the prior lies where the vehicle spins out")
-    return problem.features.fit(problem.simulator, fiducial, theta[round][rows][good], pilot[good])
+    pilot = pilot if good.all() else pilot[good]  # it is large
+    return problem.features.fit(problem.simulator, fiducial, theta[round][rows][good], pilot)

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
+from tqdm import tqdm
 
 from vehicle_sbi.data.cutting import cut
 from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise, MeasurementNoise, ProportionalNoise, from_residual
@@ -109,10 +110,7 @@ class Setup:
             substeps=FIRST_SUBSTEPS,
             seed=self.seed,
         )
-        v_min = slowest(simulator)
-        records = space.records(_fastest_corners(simulator, v_min), simulator.nominal)
-        steps = substeps_for(records, self.drive, v_min, windows.rate, limit=stiffest, model=self.model)
-        return replace(simulator, substeps=steps)
+        return replace(simulator, substeps=substeps(simulator, [slowest(simulator)], stiffest)[0])
 
     def _nominal(self, space: ParameterSpace, duration: float) -> np.void:
         """The vehicle's constants; one that is neither stated nor free, as nothing recorded depends on it, as of a
@@ -122,12 +120,24 @@ class Setup:
         return nominal_record(replace(self.vehicle, **idle), duration=duration)
 
 
-def slowest(simulator: Simulator) -> float:
-    """The lowest speed [m/s] at the prior's centre, which has the fastest modes."""
+def speeds(simulator: Simulator) -> Float[np.ndarray, "windows time"]:
+    """The speed [m/s] at the prior's centre, NaN where the simulation fails there."""
     probe = replace(simulator, windows=replace(simulator.windows, channels=("v_x",), groups=("can",)))
     space = simulator.space
-    speeds = probe.noise_free((space.low + space.high)[None] / 2)
-    return float(np.nanmin(speeds)) if np.isfinite(speeds).any() else 1.0
+    return probe.noise_free((space.low + space.high)[None] / 2).reshape(simulator.windows.t.shape)
+
+
+def slowest(simulator: Simulator) -> float:
+    """The lowest speed [m/s] at the prior's centre, which has the fastest modes."""
+    v_x = speeds(simulator)
+    return float(np.nanmin(v_x)) if np.isfinite(v_x).any() else 1.0
+
+
+def substeps(simulator: Simulator, v_min: Sequence[float], stiffest: float = 1.0) -> list[int]:
+    """Steps of the integrator a sample at each of some lowest speeds [m/s], enough in all of the prior at the first."""
+    records = simulator.space.records(_fastest_corners(simulator, v_min[0]), simulator.nominal)
+    rate, model = simulator.windows.rate, simulator.model
+    return [substeps_for(records, simulator.drive, v, rate, limit=stiffest, model=model) for v in v_min]
 
 
 def _fastest_corners(simulator: Simulator, v_min: float) -> Float[np.ndarray, "starts d"]:
@@ -163,7 +173,7 @@ def noise_under_model(simulator: Simulator, observed: np.ndarray, windows: Windo
     rng = generator(seed=simulator.seed, stream=Stream.STUDY, index=1)
     corners = rng.uniform(space.low, space.high, (STARTS - 1, len(space)))
     starts = np.concatenate([(space.low + space.high)[None] / 2, corners])
-    for _ in range(NOISE_ROUNDS):
+    for _ in tqdm(range(NOISE_ROUNDS), desc="fit and noise", disable=None, leave=False):
         before = simulator.noise
         theta, residual = best_fit(simulator, observed, starts)
         simulator = simulator.with_noise(from_residual(residual, windows))

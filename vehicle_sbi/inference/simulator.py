@@ -34,6 +34,7 @@ def use_cores(cores: int | None) -> None:
 
 
 STIFFNESSES = ("C_kappa_f", "C_kappa_r", "C_alpha_f", "C_alpha_r")
+STATES = ("v_x", "v_y", "r")
 
 
 @dataclass(frozen=True)
@@ -85,13 +86,13 @@ class Simulator:
         """Names of what is drawn in each simulation: stiffnesses, input gains, uncertain initial states, effects."""
         stiffness = STIFFNESSES if self.process.stiffness.std and not self.process.per_sample else ()
         inputs = ("steering", "torque") if self.process.inputs.std and not self.process.per_sample else ()
-        initial = tuple(
-            f"{name}_{w}"
-            for w in range(len(self.windows.x0))
-            for name, std in zip(("v_x", "v_y", "r"), self.windows.x0_std, strict=True)
-            if std > 0
-        )
+        initial = tuple(f"{name}_{w}" for w in range(len(self.windows.x0)) for name in self.uncertain_states)
         return stiffness + inputs + initial + tuple(slab.parameter.name for slab in self.plausible.slabs)
+
+    @property
+    def uncertain_states(self) -> tuple[str, ...]:
+        """Which of a window's initial states are nuisances."""
+        return tuple(name for name, std in zip(STATES, self.windows.x0_std, strict=True) if std > 0)
 
     @property
     def nuisance_box(self) -> tuple[Float[np.ndarray, " e"], Float[np.ndarray, " e"]]:
@@ -111,7 +112,7 @@ class Simulator:
         inputs = np.stack([mixture.mean + mixture.std * columns.get(name, none) for name in ("steering", "torque")], -1)
         initial = np.repeat(self.windows.x0[None], len(eta), axis=0)
         for w in range(initial.shape[1]):
-            for i, name in enumerate(("v_x", "v_y", "r")):
+            for i, name in enumerate(STATES):
                 initial[:, w, i] += self.windows.x0_std[i] * columns.get(f"{name}_{w}", none)
         effects = self.plausible.at(eta[:, eta.shape[1] - len(self.plausible) :])
         return Draws(np.nan_to_num(stiffness * nominal)[:, None], inputs[:, None], initial, effects)
@@ -172,7 +173,8 @@ class Simulator:
         y, outcomes = self.run(theta, draws, np.float32)
         for row, rng in zip(y, rngs, strict=True):
             row += self.noise.std(row) * self.noise.sample(row.shape, rng)
-        return np.where(self.windows.valid, y, np.float32(0.0)), outcomes
+        np.copyto(y, np.float32(0.0), where=~self.windows.valid)
+        return y, outcomes
 
     def with_noise(self, noise: MeasurementNoise) -> "Simulator":
         return replace(self, noise=noise)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -11,11 +12,13 @@ from vehicle_sbi.data.manoeuvre import Synthetic
 from vehicle_sbi.data.noise import EstimatedNoise
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording
-from vehicle_sbi.data.windows import joined
+from vehicle_sbi.data.windows import Windows, joined
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.estimator import DensityEstimator
 from vehicle_sbi.inference.features import Features
+from vehicle_sbi.inference.information import best_fit
+from vehicle_sbi.inference.informative import affordable, chosen
 from vehicle_sbi.inference.plausible import PLAUSIBLE, plausible, sentence
 from vehicle_sbi.inference.prior import stated
 from vehicle_sbi.inference.rounds import Problem
@@ -25,6 +28,8 @@ from vehicle_sbi.inference.training import Training
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.rng import Stream, generator
 
+MOST_READINGS = 40_000  # of a recording that are used: 200 s of two channels at 100 Hz
+
 
 @dataclass(frozen=True, kw_only=True)
 class Study(Setup):
@@ -32,6 +37,8 @@ class Study(Setup):
 
     In a synthetic study `truth` (by name) is observed, or a truth drawn from the prior. With `effects` "plausible" all
     that can act of what the prior does not name is drawn from `effect_prior` in each simulation, the observed one too.
+    Of a recording of more than `most_readings` (samples times channels; None: no limit) those windows are used that
+    tell most.
     """
 
     recording: RecordingFile | Synthetic
@@ -40,12 +47,16 @@ class Study(Setup):
     training: Training
     truth: Mapping[str, float] | None
     effect_prior: EffectPrior = field(default_factory=EffectPrior)
+    most_readings: int | None = MOST_READINGS
     instead: ClassVar[tuple[str, ...]] = (PLAUSIBLE,)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if isinstance(self.recording, RecordingFile) and self.truth is not None:
             raise InputError("truth: a recording has no stated truth; leave truth=null or recording=synthetic")
+        most = self.most_readings
+        if most is not None and (not isinstance(most, int) or isinstance(most, bool) or most < 1):
+            raise InputError(f"most_readings = {most!r}; it must be a whole number above 0, or null for no limit")
 
     def prepare(self) -> "Prepared":
         """Load or simulate what is observed, estimate the noise, and put the problem together."""
@@ -68,7 +79,7 @@ class Study(Setup):
 
     def _recorded(self, source: RecordingFile) -> "Prepared":
         recording = source.load()
-        windows = joined([self.windows(recording, source)], [recording.name])  # whose clock begins with what is used
+        windows = self._used(joined([self.windows(recording, source)], [recording.name]))
         simulator = self._freed(self.simulator(self.space(windows), windows, uniform_start=False))
         observed = np.where(windows.valid, windows.y, 0.0)
         if isinstance(self.noise, EstimatedNoise) and self.noise.model_residual:
@@ -76,6 +87,19 @@ class Study(Setup):
         return Prepared(
             f"{self.vehicle.name} from {recording.name}", self._problem(simulator, observed), None, recording
         )
+
+    def _used(self, windows: Windows) -> Windows:
+        """The windows that tell most, as many as may be used, on a clock that begins with the first of them."""
+        most, space, all_windows = self.most_readings, self.space(windows), len(windows.t)
+        if most is None:
+            return windows
+        readings, states = windows.y.size // all_windows, int(np.sum(windows.x0_std > 0))
+        count = affordable(all_windows, most, readings=readings, states=states, d=len(space))
+        if count == all_windows:
+            return windows
+        found = chosen(self.simulator(space, windows, uniform_start=False), count)
+        used = replace(windows.only(found.which), notes=(found.sentence(windows, most), *windows.notes))
+        return joined([used], [used.recordings[0]])
 
     def _freed(self, simulator: Simulator) -> Simulator:
         """The simulator with the plausible effects, if they are asked for."""
@@ -100,6 +124,14 @@ class Prepared:
     problem: Problem
     truth: Float[np.ndarray, " d"] | None
     recording: Recording | None
+
+    @cached_property
+    def point(self) -> Float[np.ndarray, " d"]:
+        """Where information is taken: the truth of a synthetic study, or the best fit to a recording."""
+        if self.truth is not None:
+            return self.truth
+        space = self.problem.simulator.space
+        return best_fit(self.problem.simulator, self.problem.observed, (space.low + space.high)[None] / 2)[0]
 
     @property
     def notes(self) -> list[str]:

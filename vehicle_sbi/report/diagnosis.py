@@ -1,9 +1,7 @@
-"""A diagnosis from recordings to what a user takes away: verdict.json, extended.yaml, pictures, one page."""
+"""A diagnosis from recordings to what a user takes away: verdict, extended model, draws, pictures, one page."""
 
 import json
-import logging
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from tqdm import tqdm
@@ -13,18 +11,17 @@ from vehicle_sbi.mismatch.answer.schema import Verdict
 from vehicle_sbi.mismatch.answer.verdict import Found, verdict
 from vehicle_sbi.mismatch.pipeline import STEPS, steps
 from vehicle_sbi.mismatch.problem.case import Case
+from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.extended import extended
 from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
 from vehicle_sbi.report.page.diagnosis import page_of
 from vehicle_sbi.report.page.page import write_page
 from vehicle_sbi.report.run_folder import RunFolder
-from vehicle_sbi.report.stage_file import StageFileError, read
+from vehicle_sbi.report.stage_file import read
 from vehicle_sbi.report.stage_file import write as write_stage
 from vehicle_sbi.rng import Stream, generator
 
 Result = TypeVar("Result")
-
-_log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
     from vehicle_sbi.mismatch.selection.reinfer import Reinference
@@ -33,7 +30,7 @@ if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
 def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, *, seed: int, figures: bool) -> None:
     """All steps, each kept on disk once it is done, then everything that is written for the user; `again` says how the
     extended model is to be inferred, if it is."""
-    infer = None if again is None else lambda model: again.inferred(model, folder.path / "rounds")
+    infer = None if again is None else lambda model: again.inferred(model, folder.checkpoints)
     with tqdm(total=len(STEPS), bar_format="{desc:<24}|{bar:20}| {elapsed}{postfix}", disable=None) as bar:
 
         def kept(name: str, kind: type[Result], compute: Callable[[], Result]) -> Result:
@@ -42,7 +39,7 @@ def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, 
         found = steps(case, rng=generator(seed=seed, stream=Stream.STUDY, index=2), keep=kept, infer=infer)
     with folder.stage("report"):
         answer = verdict(case, found)
-        write(folder, found, answer)
+        write(folder, case, found, answer)
         if figures:
             write_report(folder, case, found, answer)
     folder.complete()
@@ -50,32 +47,23 @@ def diagnose(folder: RunFolder, case: Case, again: "Reinference | None" = None, 
 
 def _kept(folder: RunFolder, name: str, kind: type[Result], compute: Callable[[], Result], bar: tqdm) -> Result:
     """A step's result, from its file where the step is done."""
-    path = folder.path / "stages" / f"{name}.npz"
+    file = f"stages/{name}.npz"
     bar.set_description_str(STEPS[name])
-    if (result := _done(path, kind)) is None:
+    if (path := folder.checkpoints.kept(file)) is None:
         with folder.stage(name):
             result = compute()
-        write_stage(path, result, kind)
-        result = read(path, kind)  # what goes on from here has nothing but what another start would have
+        path = folder.checkpoints.write(file, lambda opened: write_stage(opened, result, kind))
     bar.update()
-    return result
+    return read(path, kind)  # what goes on from here has nothing but what another start would have
 
 
-def _done(path: Path, kind: type[Result]) -> Result | None:
-    """What a stage's file holds; None where there is none, or none of this version."""
-    if not path.exists():
-        return None
-    try:
-        return read(path, kind)
-    except StageFileError as error:
-        _log.warning("%s; the stage is done anew", error)
-        return None
-
-
-def write(folder: RunFolder, found: Found, answer: Verdict) -> None:
-    """The answer and the extended model."""
+def write(folder: RunFolder, case: Case, found: Found, answer: Verdict) -> None:
+    """The answer, the extended model, and the draws where there are any."""
     write_text(folder.path / "verdict.json", json.dumps(answer.as_json(), indent=2) + "\n")
     write_text(folder.path / "extended.yaml", extended(found.extended.model, folder.config))
+    if found.pruned is not None:
+        origin = netcdf.Origin.of_folder(folder, case.name)
+        netcdf.write(folder.path / netcdf.FILE, netcdf.of_diagnosis(case, found.pruned, origin))
 
 
 def write_report(folder: RunFolder, case: Case, found: Found, answer: Verdict) -> None:
@@ -95,6 +83,6 @@ def show(folder: RunFolder) -> None:
     answer = json.loads((folder.path / "verdict.json").read_text())
     print(answer["headline"], *answer["lines"], *answer["warnings"], sep="\n")
     print()
-    for name in ("verdict.json", "extended.yaml", "report.html"):
+    for name in ("verdict.json", "extended.yaml", netcdf.FILE, "report.html"):
         if (folder.path / name).exists():
             print(folder.path / name)

@@ -13,9 +13,11 @@ from vehicle_sbi.files import write_atomically
 from vehicle_sbi.inference.information import bound_std, confusable, fisher
 from vehicle_sbi.inference.predictive import Predictive, predictive
 from vehicle_sbi.inference.proposal import draw
+from vehicle_sbi.inference.reweighting import posterior_draws
 from vehicle_sbi.inference.rounds import Inference
 from vehicle_sbi.inference.simulator import STIFFNESSES
 from vehicle_sbi.inference.study import Prepared
+from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.figures import contraction_bars, losses, pairplot
 from vehicle_sbi.report.figures import predictive as predictive_figure
 from vehicle_sbi.report.page.page import write_page
@@ -38,28 +40,37 @@ class Results:
     table: pd.DataFrame
     predicted: Predictive
     confusable: list[tuple[str, str, float]]
+    reweighted: str | None = None  # how the draws were re-weighted, in a sentence
 
 
-def results(prepared: Prepared, inference: Inference, *, samples: int) -> Results:
-    """Draw from the last posterior and hold it against truth, bound and recording."""
+def results(prepared: Prepared, inference: Inference, *, samples: int, reweight: bool = True) -> Results:
+    """Draw from the last posterior and hold it against truth, bound and recording.
+
+    `reweight`: to the simulator's own likelihood, where that is known.
+    """
     simulator = prepared.problem.simulator
     seed_torch(seed=simulator.seed, stream=Stream.POSTERIOR)
-    drawn = draw(inference.posterior, simulator.space, samples)
+    if reweight:
+        drawn, said = posterior_draws(prepared.problem, inference.posterior, samples)
+    else:
+        drawn, said = draw(inference.posterior, simulator.space, samples), None
     at = drawn.mean(axis=0) if prepared.truth is None else prepared.truth
     space, F = simulator.space, fisher(simulator, at)
     alone = bound_std(fisher(simulator.alone, at), space.prior_std) if len(simulator.plausible) else None
     bound = bound_std(F, space.prior_std)
     table = posterior_table(space, drawn, true=prepared.truth, bound_std=bound, bound_std_alone=alone)
     pairs = [(space.names[i], space.names[j], r) for i, j, r in confusable(F, space.prior_std)]
-    return Results(drawn, table, predictive(simulator, prepared.problem.observed, drawn), pairs)
+    return Results(drawn, table, predictive(simulator, prepared.problem.observed, drawn), pairs, said)
 
 
-def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, samples: int) -> None:
+def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, samples: int, reweight: bool) -> None:
     """Write everything into the run folder, mark it complete, and print the table and where things are."""
     with folder.stage("results"):
-        found = results(prepared, inference, samples=samples)
+        found = results(prepared, inference, samples=samples, reweight=reweight)
         write_samples(folder.path, found.samples, prepared, inference)
-        notes = round_notes(inference)
+        origin = netcdf.Origin.of_folder(folder, prepared.name)
+        netcdf.write(folder.path / netcdf.FILE, netcdf.of_run(prepared, found.samples, found.predicted, origin))
+        notes = [*round_notes(inference), *filter(None, [found.reweighted])]
         warnings = [*prepared.warnings, *round_warnings(inference, found.table)]
         notes += [f"Hardly told apart: {a} and {b}: correlation {r:.2f}." for a, b, r in found.confusable]
         told = [*notes, *found.predicted.sentences(), *prepared.notes]
@@ -90,7 +101,8 @@ def show(folder: RunFolder) -> None:
     print(terminal(pd.read_csv(folder.path / "table.csv")))
     for line in (*folder.manifest["facts"]["warnings"], *folder.manifest["facts"]["notes"]):
         print(f"  {line}")
-    print(f"\n{folder.path}: table.md, table.csv, table.tex, samples.parquet, posterior.pt, figures/, report.html")
+    written = "table.md, table.csv, table.tex, samples.parquet, posterior.nc, posterior.pt, figures/, report.html"
+    print(f"\n{folder.path}: {written}")
 
 
 def write_samples(path: Path, samples: np.ndarray, prepared: Prepared, inference: Inference) -> None:

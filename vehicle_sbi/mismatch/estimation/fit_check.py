@@ -11,13 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import genpareto
 
+from vehicle_sbi.inference.importance import TRUSTED, pareto_k
 from vehicle_sbi.mismatch.estimation.fit import Fit, cost, descend, with_own_noise
 
 DRAWS = 200
 MOST_TRIED = 20  # times DRAWS, to find as many inside the prior
-TRUSTED = 0.7
 GAP = 2.0  # log likelihood by which a drawn point may beat the fit
 REFITS = 2
 
@@ -48,17 +47,6 @@ class Gate:
                 f"{TRUSTED:g}): sizes and probabilities are rough."
             )
         return tuple(said)
-
-
-def pareto_k(log_weight: Float[np.ndarray, " n"]) -> float:
-    """Shape of the tail of importance weights, drawn towards 0.5 as ten more weights would."""
-    tail = int(min(len(log_weight) / 5, 3.0 * np.sqrt(len(log_weight))))
-    ordered = np.exp(np.sort(log_weight - log_weight.max())[-tail - 1 :])
-    over = ordered[1:] - ordered[0]
-    if over[-1] <= 0.0:
-        return -np.inf
-    k = float(genpareto.fit(over / over.mean(), floc=0.0)[0])
-    return (tail * k + 10 * 0.5) / (tail + 10)
 
 
 def gate(fit: Fit, rng: np.random.Generator) -> tuple[Gate, Float[np.ndarray, " d"]]:

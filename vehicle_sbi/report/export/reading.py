@@ -7,6 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import yaml
 
@@ -17,6 +18,7 @@ from vehicle_sbi.mismatch.answer.wording import NAMED
 from vehicle_sbi.mismatch.estimation.estimate import Estimate
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.physics.vehicle import read as read_vehicle
+from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.export.exported import Exported, Inferred
 from vehicle_sbi.report.run_folder import FinishedRun
 from vehicle_sbi.report.run_folder import read as read_run
@@ -30,6 +32,7 @@ ALLOWED_FOR = (
     "This run drew whatever physics may be missing from the effect prior, and its uncertainties allow for that. It did "
     "not look for what is missing; scripts/diagnose.py looks."
 )
+FEWEST = 30  # draws in which two parameters are there, from which they tell how those hang together
 INDEPENDENT = "A value made of several parameters takes them as independent: no samples of them together are stored."
 
 
@@ -48,8 +51,8 @@ def read(folder: Path) -> Exported:
 
 def _run(run: FinishedRun) -> Exported:
     """What the table and the samples of a run tell."""
-    inferred = dict(_rows(_table(run.path / "table.csv")))
-    correlation = _correlation(run.path / "samples.parquet", [*inferred])
+    inferred = dict(_rows(_table(run.file("table.csv"))))
+    correlation = _correlation(run.file("samples.parquet"), [*inferred])
     facts = run.manifest.get("facts", {})
     checked = ALLOWED_FOR if run.config.get("effects") == PLAUSIBLE else UNCHECKED
     caveats = [*facts.get("warnings", ()), checked, *([INDEPENDENT] if correlation is None else [])]
@@ -88,23 +91,48 @@ def _correlation(file: Path, names: list[str]) -> pd.DataFrame | None:
 
 def _diagnosis(run: FinishedRun) -> Exported:
     """What a verdict tells: base parameters with what is missing averaged over, and sizes of the effects it names."""
-    file = run.path / "verdict.json"
+    file = run.file("verdict.json")
     try:
         verdict = json.loads(file.read_bytes())
         boxes = _boxes(run)
         inferred = {**dict(_base(verdict, boxes)), **dict(_effects(verdict, boxes))}
         doubted = {name: float(p) for name, p in verdict["effects"].items() if p <= NAMED}
-        caveats = [*_caveats(verdict), INDEPENDENT]
+        caveats = list(_caveats(verdict))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{file}: not the verdict of a diagnosis of this version ({error!r})") from None
-    return _exported(run, "diagnosis", inferred, None, doubted, caveats)
+    correlation = _together(run.file(netcdf.FILE), [*inferred])
+    caveats += [INDEPENDENT] if correlation is None else []
+    return _exported(run, "diagnosis", inferred, correlation, doubted, caveats)
+
+
+def _together(file: Path, names: list[str]) -> pd.DataFrame | None:
+    """Correlations of a diagnosis's draws, each pair's from those in which both are there; None where it has none.
+
+    A pair that is rarely there together counts as independent.
+    """
+    if not file.exists():
+        return None
+    draws = netcdf.read(file)
+    if not set(names) <= set(draws):
+        return None
+    return _proper(draws[names].corr(min_periods=FEWEST).fillna(0.0))
+
+
+def _proper(correlation: pd.DataFrame) -> pd.DataFrame:
+    """The matrix with ones on its diagonal and no negative eigenvalues, which pairs of different draws may give it."""
+    matrix = correlation.to_numpy(copy=True)
+    np.fill_diagonal(matrix, 1.0)
+    values, vectors = np.linalg.eigh(matrix)
+    fixed = vectors * np.clip(values, 0.0, None) @ vectors.T
+    std = np.sqrt(np.diag(fixed))
+    return pd.DataFrame(fixed / np.outer(std, std), correlation.index, correlation.columns)
 
 
 def _boxes(run: FinishedRun) -> Mapping[str, tuple[float, float]]:
     """The bounds of every parameter's prior: those of the extended model, else the configured, else the catalogue's."""
-    file = run.path / "extended.yaml"
+    file = run.file("extended.yaml")
     try:
         extended = yaml.safe_load(file.read_text(encoding="utf-8")) if file.exists() else {}
     except (yaml.YAMLError, UnicodeDecodeError):
