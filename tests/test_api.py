@@ -148,6 +148,8 @@ def test_a_recording_in_memory_is_identified_and_its_rounds_are_kept(tmp_path: P
     first = identified(recording, tmp_path / "kept")
     rounds = {path: path.stat().st_mtime_ns for path in (tmp_path / "kept").rglob("*.pt")}
     second = identified(recording, tmp_path / "kept")
+    with pytest.raises(InputError, match="of another call"):
+        identify(recording, "ferrari_250lm", seed=1, folder=tmp_path / "kept", quiet=True)
     assert len(rounds) == 2
     assert rounds == {path: path.stat().st_mtime_ns for path in (tmp_path / "kept").rglob("*.pt")}
     pd.testing.assert_frame_equal(first.samples, second.samples)

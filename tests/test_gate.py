@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from recorded import fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.inference.importance import TRUSTED, pareto_k
+from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import GAP, Gate, gate, through
 
 

@@ -11,38 +11,33 @@ ORDER = """
 errors plain_yaml files checkpoints parameters rng rounding
 physics.compiled physics.vehicle physics.size physics.tyre physics.effects physics.sensors physics.balance
 physics.single_track physics.full_vehicle physics.simulation
-data.channels data.recording data.masks data.smoothing data.windows data.cutting
-data.checks.drive data.checks.limits data.checks.units data.checks.signs data.checks.offsets data.checks.shifts
-data.checks.samples data.plausibility data.units
-data.formats.limits data.formats.table data.formats.lines data.formats.text data.formats.vbo data.formats.parquet data.formats.comma2k19
-data.formats.matlab data.formats.ros_definitions data.formats.ros_messages data.formats.ros_unpacking
-data.formats.rosbag data.formats.can_frames
-data.formats.can_log data.formats.mdf_blocks data.formats.registry data.formats.mdf
-data.mapping data.readers data.inspection.units data.inspection.names data.inspection.contents data.inspection.guess
-data.inspection.inspection data.inspection.spoken data.inspection.written
-data.manoeuvre data.noise
-inference.prior inference.effect_prior inference.spike_slab inference.importance inference.simulator inference.information inference.setup
-inference.informative inference.embedding inference.emulator
-inference.features inference.estimator inference.training inference.proposal inference.rounds inference.reweighting inference.predictive
+data.channels data.recording data.masks data.smoothing data.windows data.cutting data.checks.drive data.checks.limits
+data.checks.units data.checks.signs data.checks.offsets data.checks.shifts data.checks.samples data.plausibility
+data.units data.formats.limits data.formats.table data.formats.lines data.formats.text data.formats.vbo
+data.formats.parquet data.formats.comma2k19 data.formats.matlab data.formats.ros_definitions data.formats.ros_messages
+data.formats.ros_unpacking data.formats.rosbag data.formats.can_frames data.formats.can_log data.formats.mdf_blocks
+data.formats.registry data.formats.mdf data.mapping data.readers data.inspection.units data.inspection.names
+data.inspection.contents data.inspection.guess data.inspection.inspection data.inspection.spoken
+data.inspection.written data.manoeuvre data.noise
+inference.prior inference.effect_prior inference.spike_slab inference.importance inference.simulator
+inference.information inference.setup inference.informative inference.embedding inference.emulator inference.features
+inference.estimator inference.training inference.proposal inference.rounds inference.reweighting inference.predictive
 inference.directions inference.plausible inference.study inference.calibration
-mismatch.problem.observation mismatch.problem.case
-mismatch.estimation.estimate mismatch.estimation.fit mismatch.estimation.model mismatch.estimation.elsewhere
-mismatch.estimation.multistart mismatch.estimation.base_fit mismatch.estimation.fit_check
-mismatch.estimation.linearised mismatch.estimation.expansion mismatch.estimation.linear_gaussian
-mismatch.hypotheses.block mismatch.hypotheses.regressor mismatch.hypotheses.quantisation
-mismatch.hypotheses.discrepancy mismatch.hypotheses.spans mismatch.hypotheses.dictionary
-mismatch.selection.score_test mismatch.selection.detection mismatch.selection.inclusion
+mismatch.problem.observation mismatch.problem.case mismatch.estimation.estimate mismatch.estimation.fit
+mismatch.estimation.model mismatch.estimation.elsewhere mismatch.estimation.multistart mismatch.estimation.base_fit
+mismatch.estimation.fit_check mismatch.estimation.linearised mismatch.estimation.expansion
+mismatch.estimation.linear_gaussian mismatch.hypotheses.block mismatch.hypotheses.regressor
+mismatch.hypotheses.quantisation mismatch.hypotheses.discrepancy mismatch.hypotheses.spans
+mismatch.hypotheses.dictionary mismatch.selection.score_test mismatch.selection.detection mismatch.selection.inclusion
 mismatch.selection.expand_and_prune mismatch.selection.extended mismatch.selection.reinfer
-mismatch.selection.predictive mismatch.selection.acceptance
-mismatch.design.cannot_act mismatch.design.identifiability mismatch.design.experiment
-mismatch.answer.schema mismatch.answer.wording mismatch.answer.verdict mismatch.pipeline
-report.manifest report.run_folder report.stage_file report.tables report.density report.figures report.mismatch_figures
-report.netcdf report.catalogue report.card report.extended
-report.page.thinning report.page.charts report.page.parts report.page.page report.page.series report.page.diagnosis
-report.page.run report.page.index report.results report.diagnosis
-report.observability
-report.export.exported report.export.car report.export.writing report.export.reading report.export.autoware
-report.export.openpilot report.export.commonroad report.export.plain_json report.export.export
+mismatch.selection.predictive mismatch.selection.acceptance mismatch.design.cannot_act mismatch.design.identifiability
+mismatch.design.experiment mismatch.answer.schema mismatch.answer.wording mismatch.answer.verdict mismatch.pipeline
+report.manifest report.run_folder report.stage_file report.tables report.density report.figures
+report.mismatch_figures report.netcdf report.catalogue report.card report.extended report.page.thinning
+report.page.charts report.page.parts report.page.page report.page.series report.page.diagnosis report.page.run
+report.page.index report.results report.diagnosis report.observability report.export.exported report.export.car
+report.export.writing report.export.reading report.export.autoware report.export.openpilot report.export.commonroad
+report.export.plain_json report.export.export
 command api
 """.split()
 RANK = {f"vehicle_sbi.{name}": rank for rank, name in enumerate(ORDER)}

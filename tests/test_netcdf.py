@@ -169,6 +169,19 @@ def test_inclusion_probabilities_are_shares_of_draws(pruned: Pruned, diagnosis_f
     assert {name for name, role in roles.items() if role == "size"} == {"steering_delay.time", "crosswind.force"}
 
 
+def test_a_diagnosis_to_which_no_effect_is_known_has_draws_too(pruned: Pruned, tmp_path: Path) -> None:
+    base = pruned.expansion.base
+    expansion = Expansion(base, (), (), np.zeros(0), np.zeros(0))
+    sim = replace(pruned.fit.simulator, space=expansion.space)
+    fit = replace(pruned.fit, observation=replace(pruned.fit.observation, simulator=sim))
+    bare = Pruned(expansion, pruned.theta[:, : len(base)], np.zeros((N, 0), dtype=bool), pruned.discrepant, fit, [])
+    case = cast(Any, SimpleNamespace(observation=fit.observation))
+    netcdf.write(tmp_path / "x.nc", netcdf.of_diagnosis(case, bare, ORIGIN))
+    pd.testing.assert_frame_equal(
+        netcdf.read(tmp_path / "x.nc"), pd.DataFrame(bare.theta, columns=[p.name for p in base])
+    )
+
+
 def test_names_that_netcdf_does_not_allow_are_kept_as_an_attribute(run: Run, tmp_path: Path) -> None:
     sim, observed, samples, predicted = run
     names = ("chain", "a/b", "a_b")

@@ -38,7 +38,7 @@ def by(sim: Simulator, observed: np.ndarray, about: Laplace, off: float, wide: f
     """Draws proposed by a normal that is so many standard deviations off and so many times as wide as Laplace's."""
     rng, space = np.random.default_rng(1), sim.space
     mean, covariance = about.marginal
-    normal = multivariate_normal(mean + off * np.sqrt(np.diag(covariance)), wide**2 * covariance)
+    normal = multivariate_normal(mean=mean + off * np.sqrt(np.diag(covariance)), cov=wide**2 * covariance)  # pyright: ignore[reportArgumentType]
     theta = normal.rvs(4 * PROPOSED, random_state=rng)
     theta = theta[np.all((theta >= space.low) & (theta <= space.high), axis=1)][:PROPOSED]
     return reweighted(sim, observed, (theta, normal.logpdf(theta)), about, DRAWN, rng)
@@ -85,5 +85,6 @@ def test_nuisances_are_drawn_with_the_density_that_is_told(about: Laplace) -> No
     given = Nuisances.given(about)
     theta = np.repeat(about.theta[None], 50_000, axis=0)
     eta, log_r = given.sample(theta, np.random.default_rng(0))
-    ratio = np.exp(multivariate_normal(given.eta, given.factor @ given.factor.T).logpdf(eta) - log_r)
+    narrower = multivariate_normal(mean=given.eta, cov=given.factor @ given.factor.T)  # pyright: ignore[reportArgumentType]
+    ratio = np.exp(narrower.logpdf(eta) - log_r)
     assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(len(ratio)))

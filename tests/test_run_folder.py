@@ -135,7 +135,7 @@ def test_an_unfinished_run_of_other_code_is_done_anew_and_a_finished_one_says_so
     finished(tmp_path / "finished")
     with opened(tmp_path / "begun") as run:
         kept(run, "stages/fit.npz", b"fit")
-    monkeypatch.setattr("vehicle_sbi.report.manifest._code", lambda: "of tomorrow")
+    monkeypatch.setattr("vehicle_sbi.report.manifest.code", lambda: "of tomorrow")
     for _ in range(2):  # to be opened does not make it this version's
         with opened(tmp_path / "finished") as run:
             assert run.finished

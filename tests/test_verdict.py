@@ -10,6 +10,7 @@ import pytest
 from recorded import fitted, lateral, recorded
 from test_effect_prior import stated
 
+from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.inference.directions import directions, left_out
 from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Score
@@ -187,7 +188,7 @@ def test_where_a_fit_is_normal_the_inferred_posterior_is_that_of_the_fit(tmp_pat
     model = with_effects(base, found, ["body_roll"])
     assert model is not None
     free = replace(model, fit=replace(model.fit, shrinkage=None, at=linearise(model.fit.simulator, model.fit.theta)))
-    after, before = AGAIN.inferred(model, tmp_path).estimates, free.estimates
+    after, before = AGAIN.inferred(model, Checkpoints(tmp_path)).estimates, free.estimates
     gradient = "body_roll.gradient"
     assert after[gradient].mean == pytest.approx(before[gradient].mean, abs=before[gradient].std / 3)
     assert after[gradient].std == pytest.approx(before[gradient].std, rel=0.25)

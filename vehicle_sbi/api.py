@@ -36,6 +36,7 @@ from vehicle_sbi.mismatch.problem.case import Case, Diagnosis
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.physics.vehicle import read as read_vehicle
 from vehicle_sbi.report import netcdf
+from vehicle_sbi.report.manifest import code, digest
 from vehicle_sbi.rng import Stream, generator
 from vehicle_sbi.rounding import mean_and_std
 
@@ -218,7 +219,8 @@ def identify(
     scheme = _chosen("rounds", "truncated", rounds)
     prepared = study.prepare()
     with tempfile.TemporaryDirectory() as nowhere:
-        inference = infer(prepared.problem, scheme, _rounds(Path(folder or nowhere)), quiet=quiet)
+        asked = digest([repr(study), repr(scheme), prepared.inputs, code()])
+        inference = infer(prepared.problem, scheme, _rounds(Path(folder or nowhere), asked), quiet=quiet)
     found = results(prepared, inference, samples=samples, reweight=reweight)
     names = list(prepared.problem.simulator.space.names)
     samples_by_name = pd.DataFrame(found.samples, columns=names)
@@ -283,14 +285,17 @@ def simulate(
     return pd.DataFrame({"time_s": windows.t.reshape(-1), **driven_by, **table})
 
 
-def _rounds(folder: Path) -> Checkpoints:
-    """Rounds in a folder, those of an earlier call if its file of hashes has them."""
+def _rounds(folder: Path, asked: str) -> Checkpoints:
+    """Rounds in a folder, those of an earlier call of the same if its file of hashes has them."""
     file = folder / "rounds.json"
     try:
-        sealed = dict(json.loads(file.read_bytes())) if file.exists() else {}
-    except (ValueError, TypeError):
+        kept = json.loads(file.read_bytes()) if file.exists() else {"asked": asked, "files": {}}
+        other, sealed = kept["asked"] != asked, dict(kept["files"])
+    except (ValueError, TypeError, LookupError):
         raise InputError(f"{file}: not the hashes of rounds; remove the folder or choose another") from None
-    return Checkpoints(folder, sealed, lambda: write_text(file, json.dumps(sealed)))
+    if other:
+        raise InputError(f"{folder} holds rounds of another call, input or version; remove it or choose another")
+    return Checkpoints(folder, sealed, lambda: write_text(file, json.dumps({"asked": asked, "files": sealed})))
 
 
 def _common(

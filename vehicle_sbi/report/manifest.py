@@ -46,7 +46,7 @@ def described(
         "schema": SCHEMA,
         "status": "running",
         "version": _version("vehicle-sbi"),
-        "code": _code(),
+        "code": code(),
         "commit": _commit(),
         "packages": {name: _version(name) for name in PACKAGES},
         "python": platform.python_version(),
@@ -164,12 +164,12 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _code() -> str:
+def code() -> str:
     """The SHA-256 of the package's source files."""
-    code = hashlib.sha256()
+    digested = hashlib.sha256()
     for file in sorted(PACKAGE.rglob("*.py")):
-        code.update(file.relative_to(PACKAGE).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
-    return code.hexdigest()
+        digested.update(file.relative_to(PACKAGE).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return digested.hexdigest()
 
 
 def _commit() -> str | None:

@@ -1,7 +1,7 @@
 """posterior.nc: draws, what was observed and where they come from, as the NetCDF-4 file that ArviZ reads.
 
-Groups and dimensions are those of ArviZ's InferenceData schema. All draws count as one chain: those of a run are
-independent, those of a diagnosis are pooled. To read a file runs no code, whoever wrote it.
+Groups and dimensions are those of ArviZ's InferenceData schema. All draws count as one chain; those of a diagnosis are
+pooled from several. To read a file runs no code, whoever wrote it.
 """
 
 import re
@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -129,34 +130,14 @@ def of_diagnosis(case: "Case", pruned: "Pruned", origin: Origin) -> "xr.DataTree
     import xarray as xr
 
     root = origin.attributes("vehicle_sbi")
-    expansion, simulator = pruned.expansion, pruned.fit.simulator
-    effects, base = (*expansion.sizes, *expansion.shapes), {p.name for p in expansion.base}
-    there = {p.name: _included(pruned, p) for p in effects}
+    space, base = pruned.fit.simulator.space, {p.name for p in pruned.expansion.base}
     said = [
-        {**_described(p), "role": "base"} if p.name in base else {**_of_effect(pruned, p), **_described(p)}
-        for p in simulator.space.parameters
+        {**_described(p), **({"role": "base"} if p.name in base else _of_effect(pruned, p))} for p in space.parameters
     ]
-    sampled = {
-        "included": (
-            (*DIMENSIONS, "effect_parameter"),
-            np.array([*there.values()], dtype=bool).reshape(len(there), -1).T[None],
-            {"long_name": "whether the effect's parameter is away from its null"},
-        ),
-        "unexplained": (
-            DIMENSIONS,
-            pruned.unexplained[None],
-            {"long_name": "whether there is a discrepancy that no effect stands for"},
-        ),
-    }
-    named = {
-        **_places(len(pruned.theta)),
-        "effect_parameter": [_text(name) for name in there],
-        "effect": ("effect_parameter", [_text(name.split(".")[0]) for name in there]),
-    }
     groups = {
         "/": xr.Dataset(attrs=root),
-        "/posterior": _draws(simulator.space.names, pruned.theta, said).assign_attrs(root),
-        "/sample_stats": xr.Dataset(sampled, coords=named),
+        "/posterior": _draws(space.names, pruned.theta, said).assign_attrs(root),
+        "/sample_stats": _present(pruned),
         "/observed_data": _observed(case.observation.simulator.windows, case.observation.observed),
     }
     return xr.DataTree.from_dict(groups)
@@ -164,9 +145,9 @@ def of_diagnosis(case: "Case", pruned: "Pruned", origin: Origin) -> "xr.DataTree
 
 def write(path: Path, tree: "xr.DataTree") -> None:
     """Write a tree of groups, whole or not at all."""
-    content = tree.to_netcdf(engine=ENGINE)
-    assert content is not None
-    write_atomically(path, lambda file: file.write(content))
+    content = BytesIO()
+    tree.to_netcdf(content, engine=ENGINE)
+    write_atomically(path, lambda file: file.write(content.getbuffer()))
 
 
 def read(path: Path) -> pd.DataFrame:
@@ -245,6 +226,25 @@ def _included(pruned: "Pruned", p: Parameter) -> np.ndarray:
     """In which draws a size is away from its null; of what only shapes an effect, in which that is missing."""
     sizes = [size.name for size in pruned.expansion.sizes]
     return pruned.included[:, sizes.index(p.name)] if p.name in sizes else pruned.missing[p.name.split(".")[0]]
+
+
+def _present(pruned: "Pruned") -> "xr.Dataset":
+    """In which draws there is what: each effect's parameters, and a discrepancy that no effect stands for."""
+    import xarray as xr
+
+    effects = (*pruned.expansion.sizes, *pruned.expansion.shapes)
+    included = np.zeros((1, len(pruned.theta), len(effects)), dtype=bool)
+    for k, p in enumerate(effects):
+        included[0, :, k] = _included(pruned, p)
+    away, beside = "whether the effect's parameter is away from its null", "whether there is an unknown discrepancy"
+    content = {
+        "included": ((*DIMENSIONS, "effect_parameter"), included, {"long_name": away}),
+        "unexplained": (DIMENSIONS, pruned.unexplained[None], {"long_name": beside}),
+    }
+    names = np.array([_text(p.name) for p in effects], dtype=np.str_)
+    of = np.array([_text(p.name.split(".")[0]) for p in effects], dtype=np.str_)
+    places = {**_places(len(pruned.theta)), "effect_parameter": names, "effect": ("effect_parameter", of)}
+    return xr.Dataset(content, coords=places)
 
 
 def _observed(windows: Windows, observed: np.ndarray) -> "xr.Dataset":
