@@ -228,6 +228,12 @@ def test_a_sweep_names_the_job_that_fails_and_runs_the_others(folder: Path, laun
     assert {path.name for path in folder.glob("outputs/sweep/*/")} == {"rounds.count-1", "rounds.count-2"}
 
 
+def test_a_script_without_arguments_runs_with_its_defaults(folder: Path) -> None:
+    done = run(folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (folder / "outputs" / "default" / "done").exists()
+
+
 def test_a_run_writes_only_what_the_script_writes(folder: Path) -> None:
     done = run(folder, "seed=1", "rounds=single", "hydra.job.name=x")
     assert (done.returncode, done.stderr) == (0, "")

@@ -277,7 +277,13 @@ def peak(script: str, *arguments: str) -> tuple[float, str]:
 @pytest.mark.timeout(3600)
 def test_run_takes_an_hour_at_200_hz_in_less_than_4_gigabytes(hour: Path, tmp_path: Path) -> None:
     # Fewer simulations than the default, but all pilots, which are in memory at once.
-    few = [f"rounds.simulations={rounds.PILOT}", "rounds.last=1", "training.max_epochs=3", "samples=200"]
+    few = [
+        f"rounds.simulations={rounds.PILOT}",
+        "rounds.rounds=1",
+        "rounds.last=1",
+        "training.max_epochs=3",
+        "samples=200",
+    ]
     folder = tmp_path / "run"
     memory, said = peak("run", f"recording={hour}", "vehicle=bmw320i", f"hydra.run.dir={folder}", *few)
     assert memory < MOST_MEMORY

@@ -1,5 +1,6 @@
 """Configuration files that the user brings: their size and depth are checked before Hydra reads them."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -21,7 +22,7 @@ def check_config_folders(arguments: Sequence[str]) -> None:
 
 def _folders(arguments: Sequence[str]) -> Iterator[str]:
     """What follows the flags, after a blank or an equals sign."""
-    for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
+    for argument, following in itertools.pairwise([*arguments, ""]):
         flag, equals, value = argument.partition("=")
         if flag in FLAGS:
             yield value if equals else following
