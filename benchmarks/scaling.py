@@ -29,7 +29,7 @@ VEHICLE = "bmw320i"
 SCRIPTS = ("run", "observability", "diagnose")
 SIMULATIONS = (1250, 2500, 5000, 10000)  # a round
 SIMULATED_MINUTES = 6.0  # of the drive on which their number is changed
-TIMEOUT_S = 1800.0
+TIMEOUT_S = 900.0
 KILLED, FAILED = "timeout", "failed"
 
 

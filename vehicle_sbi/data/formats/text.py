@@ -91,6 +91,8 @@ def _logger(lines: Sequence[str]) -> Layout | None:
         return None
     has_units = len(above) == 2 and _are_units(rows[above[1]]) and not _are_units(rows[above[0]])
     names = rows[above[0]] if has_units else rows[above[-1]]
+    if _are_numbers(names):  # a row of another width between numbers, which is named when widths are checked
+        return None
     units = tuple(rows[above[1]]) if has_units else ()
     return Layout(separator=separator, names=tuple(names), units=units, start=start)
 
