@@ -169,3 +169,14 @@ def test_known_attacks_get_a_line(tmp_path: Path, text: str, said: str) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=said):
         RecordingFile(path=path).load() if path.suffix == ".csv" else read_vehicle(str(path))
+
+
+@pytest.mark.parametrize(
+    "line", ["scale: nan0.5", "scale: .nan", "scale: 0", "offset: [1]", "unit: 3", "wheel_radius: x"]
+)
+def test_a_mapping_s_numbers_are_numbers(tmp_path: Path, line: str) -> None:
+    mapping = tmp_path / "mine.yaml"
+    mapping.write_text(f"v_x: {{column: v_x_mps, {line}}}\n")
+    (tmp_path / "drive.csv").write_text(CSV)
+    with pytest.raises(InputError, match=f"v_x: {line.partition(':')[0]} = "):
+        RecordingFile(path=tmp_path / "drive.csv", mapping=mapping_file(mapping)).load()

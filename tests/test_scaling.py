@@ -247,6 +247,14 @@ def test_what_the_others_would_bring_is_said() -> None:
     said = Chosen(np.array([0, 2]), np.array([1.5, 1.5, 9.0])).sentence(windows, 1000)
     assert said.startswith("2 of 4 windows (10 s) were used")
     assert "1.5 times smaller" in said
+    assert "most_readings = 1000" in said
+
+
+def test_where_initial_states_fill_memory_a_longer_window_is_asked_for_and_not_a_larger_budget() -> None:
+    windows = in_windows(recording(20.0))
+    said = Chosen(np.array([0, 2]), np.ones(3)).sentence(windows, 100_000)
+    assert "window_s" in said
+    assert "most_readings" not in said
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,7 @@ from vehicle_sbi.plain_yaml import UnreadableYaml
 Built = TypeVar("Built")
 
 GROUPS = ("imu", "can", "wheel_speed")
+LARGEST = 1e12  # of a scale or an offset
 MOST_NAMES = 60  # columns that a message lists
 
 
@@ -45,9 +46,27 @@ class ChannelSource:
     optional: bool = False
     note: str | None = None
 
+    def __post_init__(self) -> None:
+        if not self.columns or not all(isinstance(one, str) for one in self.columns):
+            raise InputError(f"column = {self.column!r}; it must be the name of a column, or a list of names")
+        for name in ("scale", "offset", "wheel_radius"):
+            value = getattr(self, name)
+            number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST
+            if not (number or (value is None and name == "wheel_radius")) or (name != "offset" and value == 0):
+                raise InputError(
+                    f"{name} = {value!r}; it must be a number" + ("" if name == "offset" else ", not zero")
+                )
+        for name in ("unit", "group", "note"):
+            if not isinstance(getattr(self, name), str | None):
+                raise InputError(f"{name} = {getattr(self, name)!r}; it must be text")
+
     @property
     def columns(self) -> list[str]:
-        return [self.column] if isinstance(self.column, str) else list(self.column)
+        return (
+            list(self.column)
+            if isinstance(self.column, Sequence) and not isinstance(self.column, str)
+            else [self.column]
+        )
 
     def to_si(self, name: str, values: Float[np.ndarray, " rows"], where: str) -> Float[np.ndarray, " rows"]:
         """The channel `name` in SI units; InputError for a unit, sign or group that is not allowed."""
@@ -159,7 +178,10 @@ def built(kind: type[Built], given: Built | Mapping[str, Any], where: str) -> Bu
     missing = [one.name for one in known if one.default is MISSING and one.name not in given]
     if missing:
         raise InputError(f"{where}: no value for {', '.join(missing)}")
-    return kind(**{str(name): value for name, value in given.items()})
+    try:
+        return kind(**{str(name): value for name, value in given.items()})
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
 
 
 def _table_of(tables: Sequence[Table], source: ChannelSource, name: str) -> Table | None:

@@ -35,11 +35,14 @@ class Chosen:
 
     def sentence(self, windows: Windows, most_readings: int) -> str:
         """How many windows were used of how many, and what the others would bring."""
-        count, seconds = len(windows.t), len(self.which) * windows.t.shape[1] / windows.rate
+        used, count = len(self.which), len(windows.t)
+        seconds, another = used * windows.t.shape[1] / windows.rate, (used + 1) * (windows.y.size // count)
+        room = "memory holds no more initial states: a longer window_s has fewer"
+        limit = f"most_readings = {most_readings}" if another > most_readings else room
         return (
-            f"{len(self.which)} of {count} windows ({seconds:.0f} s) were used, those that tell most of the parameters "
-            f"(most_readings = {most_readings}). At the prior's centre all windows would make standard deviations "
-            f"{float(np.median(self.wider)):.1f} times smaller, as a median over parameters."
+            f"{used} of {count} windows ({seconds:.0f} s) were used, those that tell most of the parameters ({limit}). "
+            f"At the prior's centre all windows would make standard deviations {float(np.median(self.wider)):.1f} "
+            "times smaller, as a median over parameters."
         )
 
 
