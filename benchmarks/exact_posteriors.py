@@ -111,11 +111,10 @@ def main() -> None:
                 found = pd.DataFrame(row(manoeuvre, seed))
                 write_text(stored, found.to_csv(index=False))
             rows += pd.read_csv(stored, keep_default_na=False).to_dict("records")
+            table = pd.DataFrame(rows)
+            write_text(RESULTS.with_suffix(".csv"), table.to_csv(index=False))
+            write_text(RESULTS.with_suffix(".md"), page(table) + "\n")
             print(rows[-2:], flush=True)
-    table = pd.DataFrame(rows)
-    write_text(RESULTS.with_suffix(".csv"), table.to_csv(index=False))
-    write_text(RESULTS.with_suffix(".md"), page(table) + "\n")
-    print(page(table))
 
 
 if __name__ == "__main__":

@@ -269,6 +269,7 @@ def test_an_interruption_at_any_moment_gets_one_line(folder: Path, asked: signal
         env=os.environ | {"PYTHONPATH": search},
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # ignored in a background job
     ) as process:
         while not (folder / "waits").exists() and process.poll() is None:
             time.sleep(0.05)

@@ -214,12 +214,15 @@ def test_gathering_names_what_it_cannot_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="none of these runs has finished"):
         tables.gather([tmp_path])
     finished_run(tmp_path / "run", table(), 0)
-    table().drop(columns="q05").to_csv(tmp_path / "run" / "table.csv")
+    file = tmp_path / "run" / "table.csv"
+    table().drop(columns="q05").to_csv(file)
+    with pytest.raises(InputError, match=r"table\.csv is damaged or missing"):
+        tables.gather([tmp_path])
     with pytest.raises(InputError, match="column q05 missing"):
-        tables.gather([tmp_path])
-    (tmp_path / "run" / "table.csv").write_text("")
+        tables.read_table(file)
+    file.write_text("")
     with pytest.raises(InputError, match="not a table"):
-        tables.gather([tmp_path])
+        tables.read_table(file)
 
 
 @pytest.mark.slow

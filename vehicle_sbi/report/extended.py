@@ -17,7 +17,8 @@ from vehicle_sbi.physics.effects import CATALOGUE
 STATED = ("vehicle", "prior", "recording", "noise")
 HEAD = """\
 # @package _global_
-# The extended model of a diagnosis: copy to conf/experiment/NAME.yaml, then python scripts/run.py experiment=NAME
+# The extended model of a diagnosis: copy to FOLDER/experiment/NAME.yaml, then:
+#   vehicle-sbi run --config-dir FOLDER experiment=NAME
 """
 OTHERS = """\
 # It is inferred from the first of the recordings that were diagnosed. For another one put its path under recording, or,

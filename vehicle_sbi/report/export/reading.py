@@ -25,12 +25,12 @@ from vehicle_sbi.report.run_folder import read as read_run
 from vehicle_sbi.report.tables import IDENTIFIED_CONTRACTION, read_table
 
 UNCHECKED = (
-    "This run did not look for physics that its model lacks. Its uncertainties hold if nothing is missing; "
-    "scripts/diagnose.py looks."
+    "This run did not look for physics that its model lacks. Its uncertainties hold if nothing is missing. "
+    "A diagnosis looks."
 )
 ALLOWED_FOR = (
     "This run drew whatever physics may be missing from the effect prior, and its uncertainties allow for that. It did "
-    "not look for what is missing; scripts/diagnose.py looks."
+    "not look for what is missing; a diagnosis looks."
 )
 FEWEST = 30  # draws in which two parameters are there, from which they tell how those hang together
 INDEPENDENT = "A value made of several parameters takes them as independent: no samples of them together are stored."
