@@ -86,6 +86,7 @@ $(STAMP): pyproject.toml constraints.txt | $(PY)
 		echo "$(TORCH_INDEX) has no torch for this machine: taking it from pip's usual index"
 	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
+	@echo "installed: $(VENV)/bin/vehicle-sbi lists what it can do; $(VENV)/bin/vehicle-sbi demo shows it"
 
 $(VENV)/.docs: $(STAMP)
 	@$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'

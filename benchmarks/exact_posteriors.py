@@ -32,7 +32,7 @@ from vehicle_sbi.inference.simulator import use_cores
 from vehicle_sbi.report.tables import markdown
 from vehicle_sbi.rng import Stream, seed_torch
 
-SEEDS = {"paper_mild": range(510, 515), "paper_strong": range(515, 520)}
+SEEDS = {"paper_mild": range(520, 525), "paper_strong": range(525, 530)}
 WALKERS, DRAWS = 64, 5000
 FOLDER = ROOT / "outputs" / "exact_posteriors"
 RESULTS = ROOT / "benchmarks" / "results" / "exact_posteriors"

@@ -46,6 +46,11 @@ def test_a_file_alone_is_the_recording() -> None:
     assert VERBS["diagnose"].arguments(["drive.csv", "seed=1", "-m"]) == ["recording=drive.csv", "seed=1", "-m"]
 
 
+def test_the_value_of_a_flag_is_no_recording() -> None:
+    for flag in ("--cfg", "--config-dir"):
+        assert VERBS["run"].arguments([flag, "job", "drive.csv"]) == [flag, "job", "recording=drive.csv"]
+
+
 def test_completion_is_a_script_that_bash_reads() -> None:
     checked = subprocess.run(["bash", "-n"], input=completion(), text=True, capture_output=True)
     assert checked.returncode == 0, checked.stderr

@@ -54,6 +54,16 @@ def test_the_answer_does_not_depend_on_who_proposed(sim: Simulator, observed: np
     np.testing.assert_allclose(np.log(wrong.theta.std(axis=0) / std), 0.0, atol=5 / np.sqrt(few))
 
 
+def test_proposals_that_are_worth_little_say_where_to_propose_again(
+    sim: Simulator, observed: np.ndarray, about: Laplace
+) -> None:
+    poor, right = by(sim, observed, about, 1.5, 2.0), by(sim, observed, about, 0.0, 1.3)
+    assert poor.trusted
+    assert poor.effective > DRAWN / 2
+    std, few = right.theta.std(axis=0), min(right.effective, poor.effective)
+    np.testing.assert_allclose((poor.theta.mean(axis=0) - right.theta.mean(axis=0)) / std, 0.0, atol=5 / np.sqrt(few))
+
+
 def test_proposals_where_the_likelihood_has_no_mass_are_not_relied_on(
     sim: Simulator, observed: np.ndarray, about: Laplace
 ) -> None:

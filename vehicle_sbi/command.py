@@ -23,6 +23,7 @@ def _folder(name: str) -> Path:
 
 
 SCRIPTS, CONF = _folder("scripts"), _folder("conf")
+TAKE_A_VALUE = ("--cfg", "-c", "--package", "-p", "--info", "-i", "--config-dir", "-cd", "--config-name", "-cn")
 USAGE = "vehicle-sbi VERB key=value …"
 MORE = "vehicle-sbi VERB --help says more; --version the version; --completion a script for bash or zsh"
 
@@ -49,10 +50,12 @@ class Verb:
 
     def arguments(self, typed: Sequence[str]) -> list[str]:
         """The script's arguments: a file alone becomes the value of its key."""
-        return [*self.given, *(self._spelled(word) for word in typed)]
+        before = ["", *typed]
+        return [*self.given, *(self._spelled(word, after) for word, after in zip(typed, before, strict=False))]
 
-    def _spelled(self, word: str) -> str:
-        return word if self.file is None or "=" in word or word.startswith(("-", "+", "~")) else f"{self.file}={word}"
+    def _spelled(self, word: str, after: str) -> str:
+        plain = "=" in word or word.startswith(("-", "+", "~")) or after in TAKE_A_VALUE
+        return word if self.file is None or plain else f"{self.file}={word}"
 
 
 VERBS: Mapping[str, Verb] = {

@@ -13,6 +13,7 @@ whether the result is to be relied on (Vehtari et al., Pareto smoothed importanc
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -25,11 +26,13 @@ from vehicle_sbi.inference.information import Laplace
 from vehicle_sbi.inference.proposal import draw, log_density
 from vehicle_sbi.inference.rounds import Problem, at_once
 from vehicle_sbi.inference.simulator import STIFFNESSES, Simulator
+from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.rng import Stream, generator
 
 PROPOSED = 8  # draws proposed for each that is asked for
-FREEDOM = 5.0  # degrees of freedom of the nuisances' proposal
+FREEDOM = 5.0  # degrees of freedom of t distributions that propose
 LEAST = 200  # effective draws that quantiles need
+LEAST_TO_LEARN_FROM = 20  # effective draws whose covariance proposes again
 
 
 @dataclass(frozen=True)
@@ -84,18 +87,71 @@ def reweighted(
     n: int,
     rng: np.random.Generator,
 ) -> Reweighted:
-    """n of the proposed draws, given with the logarithm of their density, as draws of the exact posterior.
+    """n draws of the exact posterior, from proposed ones that are given with the logarithm of their density.
 
-    `about` says where the nuisances are likely.
+    Where those are worth fewer than n, a t distribution with their weighted mean and covariance proposes again (Cappe
+    et al., Population Monte Carlo, 2004). `about` says where the nuisances are likely.
     """
-    theta, log_q = proposed
-    eta, log_r = Nuisances.given(about).sample(theta, rng)
-    log_weight = log_likelihood(simulator, observed, theta, eta) + log_prior(simulator, eta) - log_q - log_r
-    if not np.isfinite(log_weight).any():
-        return Reweighted(theta[:n], len(theta), 0.0, np.inf)
-    weight = truncated(log_weight)
-    chosen = rng.permutation(systematic(weight, n, rng))
-    return Reweighted(theta[chosen], len(theta), 1.0 / float(weight @ weight), pareto_k(log_weight))
+    target = _Target(simulator, observed, Nuisances.given(about))
+    found = target.weighted(*proposed, rng)
+    if LEAST_TO_LEARN_FROM < found.effective < n:
+        again = target.weighted(*found.proposal(target.simulator.space, len(found.theta), rng), rng)
+        found = max(found, again, key=lambda one: one.effective)
+    return found.resampled(n, rng)
+
+
+@dataclass(frozen=True)
+class _Target:
+    """The exact posterior of theta, its nuisances drawn with each."""
+
+    simulator: Simulator
+    observed: Float[np.ndarray, "channels time"]
+    nuisances: "Nuisances"
+
+    def weighted(
+        self, theta: Float[np.ndarray, "m d"], log_q: Float[np.ndarray, " m"], rng: np.random.Generator
+    ) -> "_Weighted":
+        """Draws of any density inside the prior, weighted to this posterior."""
+        eta, log_r = self.nuisances.sample(theta, rng)
+        likelihood = log_likelihood(self.simulator, self.observed, theta, eta)
+        return _Weighted(theta, likelihood + log_prior(self.simulator, eta) - log_q - log_r)
+
+
+@dataclass(frozen=True)
+class _Weighted:
+    """Draws with the logarithm of their weights, up to a constant."""
+
+    theta: Float[np.ndarray, "m d"]
+    log_weight: Float[np.ndarray, " m"]
+
+    @cached_property
+    def weight(self) -> Float[np.ndarray, " m"]:
+        """Normalised; zero where all of them are."""
+        return truncated(self.log_weight) if np.isfinite(self.log_weight).any() else np.zeros(len(self.theta))
+
+    @property
+    def effective(self) -> float:
+        """Independent draws that they are worth."""
+        return 1.0 / float(self.weight @ self.weight) if self.weight.any() else 0.0
+
+    def proposal(
+        self, space: ParameterSpace, m: int, rng: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "k d"], Float[np.ndarray, " k"]]:
+        """About m draws inside the prior, and the logarithm of their density: as wide as these draws, heavier in the
+        tails."""
+        mean = self.weight @ self.theta
+        covariance = np.cov(self.theta.T, aweights=self.weight)
+        off, log_q = t_draws(m, np.linalg.cholesky(np.atleast_2d(covariance)), rng)
+        theta = mean + off
+        inside = np.all((theta >= space.low) & (theta <= space.high), axis=1)
+        return theta[inside], log_q[inside]
+
+    def resampled(self, n: int, rng: np.random.Generator) -> Reweighted:
+        """n of the draws, in proportion to their weights."""
+        if not self.weight.any():
+            return Reweighted(self.theta[:n], len(self.theta), 0.0, np.inf)
+        chosen = rng.permutation(systematic(self.weight, n, rng))
+        return Reweighted(self.theta[chosen], len(self.theta), self.effective, pareto_k(self.log_weight))
 
 
 @dataclass(frozen=True)
@@ -117,12 +173,19 @@ class Nuisances:
         self, theta: Float[np.ndarray, "n d"], rng: np.random.Generator
     ) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, " n"]]:
         """A draw for each theta, and the logarithm of its density."""
-        n, e = len(theta), len(self.eta)
-        unit = rng.standard_normal((n, e)) / np.sqrt(rng.chisquare(FREEDOM, (n, 1)) / FREEDOM)
-        constant = gammaln((FREEDOM + e) / 2) - gammaln(FREEDOM / 2) - e / 2 * np.log(FREEDOM * np.pi)
-        constant -= np.log(np.diag(self.factor)).sum()
-        log_density = constant - (FREEDOM + e) / 2 * np.log1p((unit**2).sum(axis=1) / FREEDOM)
-        return self.eta + (theta - self.theta) @ self.slope.T + unit @ self.factor.T, log_density
+        off, log_density = t_draws(len(theta), self.factor, rng)
+        return self.eta + (theta - self.theta) @ self.slope.T + off, log_density
+
+
+def t_draws(
+    n: int, factor: Float[np.ndarray, "e e"], rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, " n"]]:
+    """n draws of a t distribution about zero with scale factor factor', and the logarithm of their density."""
+    e = len(factor)
+    unit = rng.standard_normal((n, e)) / np.sqrt(rng.chisquare(FREEDOM, (n, 1)) / FREEDOM)
+    constant = gammaln((FREEDOM + e) / 2) - gammaln(FREEDOM / 2) - e / 2 * np.log(FREEDOM * np.pi)
+    constant -= np.log(np.diag(factor)).sum()
+    return unit @ factor.T, constant - (FREEDOM + e) / 2 * np.log1p((unit**2).sum(axis=1) / FREEDOM)
 
 
 def log_prior(simulator: Simulator, eta: Float[np.ndarray, "n e"]) -> Float[np.ndarray, " n"]:
