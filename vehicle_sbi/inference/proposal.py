@@ -22,6 +22,7 @@ EXCLUDED_MASS = 1e-3  # share of a posterior's mass that truncation cuts off
 WIDENED = 1.4  # times as wide as that is what truncation keeps
 RADIUS = 8.0  # standard deviations about a fit beyond which no posterior is expected
 WALKERS, WARM_UP, THINNING = 1000, 60, 20  # of the ensemble, whose autocorrelation time is about 25 steps
+LEAST_SHARED = 100  # draws in the supports of all rounds, from which walkers can start
 MOST_REJECTIONS = 50  # batches of draws before resampling takes over
 RESAMPLED_FROM = 200_000  # uniform draws of the prior
 
@@ -184,13 +185,13 @@ def _spread(space: ParameterSpace, supports: Sequence[Region], rng: np.random.Ge
     draws, density = supports[-1].draws(space, rng)
     kept = inside(supports, draws)
     draws, density = draws[kept], density[kept]
-    if len(draws) < WALKERS:
+    if len(draws) < LEAST_SHARED:
         raise InputError(
             f"only {len(draws)} of {SUPPORT_SAMPLES} draws lie in the supports of all rounds: they contradict each "
             "other; use more simulations a round"
         )
     weight = np.exp(density.min() - density)
-    return draws[rng.choice(len(draws), WALKERS, replace=False, p=weight / weight.sum())]
+    return draws[rng.choice(len(draws), WALKERS, replace=len(draws) < WALKERS, p=weight / weight.sum())]
 
 
 def acceptance(posterior: NeuralPosterior, space: ParameterSpace) -> float:
