@@ -27,10 +27,13 @@ import pytest
 import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 import vehicle_sbi
 from vehicle_sbi.command import CONF, VERBS
+from vehicle_sbi.errors import InputError
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(page.relative_to(ROOT) for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")))
@@ -162,7 +165,7 @@ def test_every_block_says_what_it_is_and_every_command_composes(page: Path) -> N
     "ls",
 ])  # fmt: skip
 def test_a_wrong_command_is_found(wrong: str) -> None:
-    with pytest.raises(Exception):  # noqa: B017, PT011
+    with pytest.raises((AssertionError, KeyError, FileNotFoundError, HydraException, OmegaConfBaseException, InputError)):
         check(wrong)
 
 

@@ -16,7 +16,7 @@ from vehicle_sbi.mismatch.selection.expand_and_prune import (
     Budget,
     Pruned,
     _Round,
-    as_far_as_simulated,
+    _simulated,
     expand_and_prune,
 )
 from vehicle_sbi.mismatch.selection.extended import with_effects
@@ -122,12 +122,12 @@ def test_what_is_believed_to_be_rare_is_named_less(base: Fit, pruned: Pruned) ->
 def test_a_next_start_is_as_far_on_the_way_as_the_car_can_be_simulated(expanded: tuple[Expansion, Fit]) -> None:
     expansion, fit = expanded
     near = fit.theta + 0.01 * (expansion.rest - fit.theta)
-    assert as_far_as_simulated(fit.simulator, fit.theta, near) == pytest.approx(near)
+    assert _simulated(fit, near) == pytest.approx(near)
     spun = fit.theta.copy()  # the rear axle cannot hold a car whose mass lies there
     for name, value in {"l_f": 2.4, "delta_C_alpha_r": -0.9}.items():
         spun[expansion.space.column(name)] = value
     assert not np.isfinite(fit.simulator.noise_free(spun[None])).all()
-    start = as_far_as_simulated(fit.simulator, fit.theta, spun)
+    start = _simulated(fit, spun)
     share = (start - fit.theta)[spun != fit.theta] / (spun - fit.theta)[spun != fit.theta]
     assert np.ptp(share) < 1e-9
     assert 0.0 <= share[0] < 1.0

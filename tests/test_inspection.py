@@ -14,10 +14,10 @@ from vehicle_sbi.data.inspection.guess import guess
 from vehicle_sbi.data.inspection.inspection import Inspection, inspect
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
 from vehicle_sbi.data.inspection.units import split
-from vehicle_sbi.data.inspection.written import CONSTANTS, write
+from vehicle_sbi.data.inspection.written import write
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.physics.vehicle import Vehicle
+from vehicle_sbi.physics.vehicle import MEANINGS, Vehicle
 from vehicle_sbi.physics.vehicle import read as read_vehicle
 
 
@@ -203,8 +203,8 @@ def test_the_vehicle_file_fails_until_it_is_edited(tmp_path: Path) -> None:
     vehicle = read_vehicle(str(path))
     assert (vehicle.name, vehicle.m, vehicle.steering_ratio) == ("drive", 1500, None)
     assert vehicle.drive_front == 1.0
-    assert set(CONSTANTS) == set(Vehicle.__dataclass_fields__) - {"name"}
-    assert all("# [" in line for line in text.splitlines() if line.split(":")[0] in CONSTANTS)
+    assert set(MEANINGS) == set(Vehicle.__dataclass_fields__) - {"name"}
+    assert all("# [" in line for line in text.splitlines() if line.split(":")[0] in MEANINGS)
 
 
 def test_nothing_is_overwritten_unless_asked(tmp_path: Path) -> None:

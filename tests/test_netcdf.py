@@ -23,8 +23,9 @@ from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
+from vehicle_sbi.physics.vehicle import MEANINGS
 from vehicle_sbi.report import netcdf
-from vehicle_sbi.report.netcdf import DIMENSIONS, LONG_NAMES, Origin
+from vehicle_sbi.report.netcdf import DIMENSIONS, Origin
 
 ORIGIN = Origin(study="a car in a drive", seed=3, version="1.2.3", config_sha256="ab" * 32)
 HOSTILE = "../a/b\0\n\ud800 {x}"
@@ -209,7 +210,7 @@ def test_names_of_the_catalogue_stay_as_they_are_and_have_words() -> None:
     assert netcdf.variables(KNOWN) == {name: name for name in KNOWN}
     for p in KNOWN.values():
         assert netcdf.long_name(p) != p.name
-        assert p.name.split(".")[0] in CATALOGUE or all(field in LONG_NAMES for field in p.fields)
+        assert p.name.split(".")[0] in CATALOGUE or all(field in MEANINGS for field in p.fields)
 
 
 def test_a_parameter_without_words_is_called_by_its_name() -> None:

@@ -15,9 +15,11 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.inference.proposal import (
     EXCLUDED_MASS,
+    LEAST_SHARED,
     RADIUS,
     RESAMPLED_FROM,
     SUPPORT_SAMPLES,
+    WALKERS,
     WIDENED,
     Neighbourhood,
     Support,
@@ -240,3 +242,16 @@ def test_supports_that_do_not_meet_are_refused() -> None:
     supports = [Support.of(posterior([mean, 0.0], [0.005, 0.005]), SPACE) for mean in (1.1, 1.4)]
     with pytest.raises(InputError, match="lie in the supports of all rounds: they contradict each other"):
         truncated_prior(SPACE, supports, 10, np.random.default_rng(8))
+
+
+def test_supports_that_meet_a_little_are_proposed_from_where_they_meet() -> None:
+    """Fewer shared draws than walkers: some begin at the same place, and fill the region as evenly as others do."""
+    around = [Neighbourhood(np.array([x, 0.0]), 0.01**2 * np.eye(2)) for x in (1.2, 1.33)]
+    shared = inside(around, around[-1].draws(SPACE, np.random.default_rng(3))[0]).sum()
+    assert LEAST_SHARED < shared < WALKERS
+    theta = truncated_prior(SPACE, around, 5000, np.random.default_rng(4))
+    assert inside(around, theta).all()
+    even = SPACE.low + np.random.default_rng(5).uniform(size=(400_000, 2)) * (SPACE.high - SPACE.low)
+    even = even[inside(around, even)]
+    for column in range(2):
+        assert kstest(theta[::5, column], even[:, column]).pvalue > 1e-3

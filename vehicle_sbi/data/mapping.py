@@ -47,7 +47,8 @@ class ChannelSource:
     note: str | None = None
 
     def __post_init__(self) -> None:
-        if not self.columns or not all(isinstance(one, str) for one in self.columns):
+        listed = isinstance(self.column, Sequence) and len(self.column) > 0
+        if not listed or not all(isinstance(one, str) for one in self.columns):
             raise InputError(f"column = {self.column!r}; it must be the name of a column, or a list of names")
         for name in ("scale", "offset", "wheel_radius"):
             value = getattr(self, name)
@@ -62,11 +63,7 @@ class ChannelSource:
 
     @property
     def columns(self) -> list[str]:
-        return (
-            list(self.column)
-            if isinstance(self.column, Sequence) and not isinstance(self.column, str)
-            else [self.column]
-        )
+        return [self.column] if isinstance(self.column, str) else list(self.column)
 
     def to_si(self, name: str, values: Float[np.ndarray, " rows"], where: str) -> Float[np.ndarray, " rows"]:
         """The channel `name` in SI units; InputError for a unit, sign or group that is not allowed."""

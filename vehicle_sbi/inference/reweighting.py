@@ -101,20 +101,37 @@ def reweighted(
 
 
 @dataclass(frozen=True)
-class _Target:
-    """The exact posterior of theta, its nuisances drawn with each."""
+class Nuisances:
+    """A t distribution of eta about the mean that a normal of (theta, eta) has of it given theta."""
 
-    simulator: Simulator
-    observed: Float[np.ndarray, "channels time"]
-    nuisances: "Nuisances"
+    theta: Float[np.ndarray, " d"]
+    eta: Float[np.ndarray, " e"]
+    slope: Float[np.ndarray, "e d"]
+    factor: Float[np.ndarray, "e e"]
 
-    def weighted(
-        self, theta: Float[np.ndarray, "m d"], log_q: Float[np.ndarray, " m"], rng: np.random.Generator
-    ) -> "_Weighted":
-        """Draws of any density inside the prior, weighted to this posterior."""
-        eta, log_r = self.nuisances.sample(theta, rng)
-        likelihood = log_likelihood(self.simulator, self.observed, theta, eta)
-        return _Weighted(theta, likelihood + log_prior(self.simulator, eta) - log_q - log_r)
+    @classmethod
+    def given(cls, about: Laplace) -> "Nuisances":
+        d, C = len(about.theta), about.covariance
+        slope = np.linalg.solve(C[:d, :d], C[:d, d:]).T
+        return cls(about.theta, about.eta, slope, np.linalg.cholesky(C[d:, d:] - slope @ C[:d, d:]))
+
+    def sample(
+        self, theta: Float[np.ndarray, "n d"], rng: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, " n"]]:
+        """A draw for each theta, and the logarithm of its density."""
+        off, log_density = t_draws(len(theta), self.factor, rng)
+        return self.eta + (theta - self.theta) @ self.slope.T + off, log_density
+
+
+def t_draws(
+    n: int, factor: Float[np.ndarray, "e e"], rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, " n"]]:
+    """n draws of a t distribution about zero with scale factor factor', and the logarithm of their density."""
+    e = len(factor)
+    unit = rng.standard_normal((n, e)) / np.sqrt(rng.chisquare(FREEDOM, (n, 1)) / FREEDOM)
+    constant = gammaln((FREEDOM + e) / 2) - gammaln(FREEDOM / 2) - e / 2 * np.log(FREEDOM * np.pi)
+    constant -= np.log(np.diag(factor)).sum()
+    return unit @ factor.T, constant - (FREEDOM + e) / 2 * np.log1p((unit**2).sum(axis=1) / FREEDOM)
 
 
 @dataclass(frozen=True)
@@ -155,37 +172,20 @@ class _Weighted:
 
 
 @dataclass(frozen=True)
-class Nuisances:
-    """A t distribution of eta about the mean that a normal of (theta, eta) has of it given theta."""
+class _Target:
+    """The exact posterior of theta, its nuisances drawn with each."""
 
-    theta: Float[np.ndarray, " d"]
-    eta: Float[np.ndarray, " e"]
-    slope: Float[np.ndarray, "e d"]
-    factor: Float[np.ndarray, "e e"]
+    simulator: Simulator
+    observed: Float[np.ndarray, "channels time"]
+    nuisances: Nuisances
 
-    @classmethod
-    def given(cls, about: Laplace) -> "Nuisances":
-        d, C = len(about.theta), about.covariance
-        slope = np.linalg.solve(C[:d, :d], C[:d, d:]).T
-        return cls(about.theta, about.eta, slope, np.linalg.cholesky(C[d:, d:] - slope @ C[:d, d:]))
-
-    def sample(
-        self, theta: Float[np.ndarray, "n d"], rng: np.random.Generator
-    ) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, " n"]]:
-        """A draw for each theta, and the logarithm of its density."""
-        off, log_density = t_draws(len(theta), self.factor, rng)
-        return self.eta + (theta - self.theta) @ self.slope.T + off, log_density
-
-
-def t_draws(
-    n: int, factor: Float[np.ndarray, "e e"], rng: np.random.Generator
-) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, " n"]]:
-    """n draws of a t distribution about zero with scale factor factor', and the logarithm of their density."""
-    e = len(factor)
-    unit = rng.standard_normal((n, e)) / np.sqrt(rng.chisquare(FREEDOM, (n, 1)) / FREEDOM)
-    constant = gammaln((FREEDOM + e) / 2) - gammaln(FREEDOM / 2) - e / 2 * np.log(FREEDOM * np.pi)
-    constant -= np.log(np.diag(factor)).sum()
-    return unit @ factor.T, constant - (FREEDOM + e) / 2 * np.log1p((unit**2).sum(axis=1) / FREEDOM)
+    def weighted(
+        self, theta: Float[np.ndarray, "m d"], log_q: Float[np.ndarray, " m"], rng: np.random.Generator
+    ) -> _Weighted:
+        """Draws of any density inside the prior, weighted to this posterior."""
+        eta, log_r = self.nuisances.sample(theta, rng)
+        likelihood = log_likelihood(self.simulator, self.observed, theta, eta)
+        return _Weighted(theta, likelihood + log_prior(self.simulator, eta) - log_q - log_r)
 
 
 def log_prior(simulator: Simulator, eta: Float[np.ndarray, "n e"]) -> Float[np.ndarray, " n"]:

@@ -20,6 +20,43 @@ MAY_BE_ZERO = (
 )  # fmt: skip
 
 
+MEANINGS: Mapping[str, str] = {
+    "m": "mass as driven",
+    "L": "wheelbase",
+    "steering_ratio": "steering wheel angle to road wheel angle",
+    "l_f": "front axle to centre of gravity",
+    "h_cog": "height of the centre of gravity",
+    "I_z": "yaw inertia",
+    "C_alpha_f": "cornering stiffness, front axle",
+    "C_alpha_r": "cornering stiffness, rear axle",
+    "C_kappa_f": "longitudinal stiffness, front axle",
+    "C_kappa_r": "longitudinal stiffness, rear axle",
+    "mu": "friction coefficient",
+    "R_f": "free tyre radius",
+    "I_wf": "inertia of the front wheels and what turns with them",
+    "I_wr": "inertia of the rear wheels and what turns with them",
+    "drive_front": "share of the drive torque on the front axle: 1 front, 0 rear",
+    "brake_front": "share of the brake torque on the front axle",
+    "imu_x": "IMU ahead of the rear axle; null: at the centre of gravity",
+    "imu_y": "IMU left of the middle",
+    "imu_z": "IMU above the ground",
+    "track_f": "front track",
+    "track_r": "rear track",
+    "m_s": "sprung mass",
+    "I_x": "roll inertia of the sprung mass",
+    "I_y": "pitch inertia of the sprung mass",
+    "h_roll": "roll axis under the centre of gravity",
+    "h_pitch": "height of the pitch axis",
+    "K_roll": "roll stiffness, both axles",
+    "D_roll": "roll damping, both axles",
+    "roll_front": "front axle's share of the roll stiffness",
+    "K_pitch": "pitch stiffness",
+    "D_pitch": "pitch damping",
+    "C_vert": "vertical stiffness of one tyre; .inf: rigid",
+    "K": "lateral carcass stiffness of an axle; .inf: slips without relaxation",
+}
+"""What each constant of a vehicle is, in the order of a file; from track_f on, what only the full vehicle has."""
+
 IMU_PLACE = ("imu_x", "imu_y", "imu_z")
 
 

@@ -23,6 +23,7 @@ from vehicle_sbi.files import write_atomically
 from vehicle_sbi.inference.predictive import QUANTILES, Predictive
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.physics.vehicle import MEANINGS
 from vehicle_sbi.report.run_folder import RunFolder
 from vehicle_sbi.rng import Stream, generator
 
@@ -36,34 +37,6 @@ if TYPE_CHECKING:  # they take long to import, and a run needs no diagnosis
 FILE = "posterior.nc"
 ENGINE = "h5netcdf"
 DIMENSIONS = ("chain", "draw")
-LONG_NAMES: Mapping[str, str] = {
-    "m": "mass",
-    "L": "wheelbase",
-    "l_f": "front axle to centre of gravity",
-    "h_cog": "height of the centre of gravity",
-    "mu": "friction coefficient",
-    "R_f": "free tyre radius",
-    "I_wf": "rotational inertia of the front axle",
-    "I_wr": "rotational inertia of the rear axle",
-    "track_f": "front track",
-    "track_r": "rear track",
-    "m_s": "sprung mass",
-    "I_x": "roll inertia of the sprung mass",
-    "I_y": "pitch inertia of the sprung mass",
-    "h_roll": "height of the roll axis under the centre of gravity",
-    "h_pitch": "height of the pitch axis",
-    "K_roll": "roll stiffness",
-    "D_roll": "roll damping",
-    "roll_front": "front axle's share of roll stiffness and damping",
-    "K_pitch": "pitch stiffness",
-    "D_pitch": "pitch damping",
-    "imu_x": "IMU ahead of the rear axle",
-    "imu_y": "IMU left of the middle",
-    "imu_z": "IMU above the ground",
-    **{f"C_alpha_{axle[0]}": f"cornering stiffness of the {axle} axle" for axle in ("front", "rear")},
-    **{f"C_kappa_{axle[0]}": f"longitudinal stiffness of the {axle} axle" for axle in ("front", "rear")},
-}
-"""What the constants of a vehicle are; effects have a meaning of their own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,8 +182,8 @@ def long_name(p: Parameter) -> str:
     if effect in CATALOGUE:
         return f"{effect.replace('_', ' ')}, {key.replace('_', ' ')}: {CATALOGUE[effect].meaning}"
     if p.relative:
-        return " and ".join(LONG_NAMES[field] for field in p.fields) + ", offset from nominal"
-    return LONG_NAMES.get(p.name, p.name)
+        return " and ".join(MEANINGS[field] for field in p.fields) + ", offset from nominal"
+    return MEANINGS.get(p.name, p.name)
 
 
 def _of_effect(pruned: "Pruned", p: Parameter) -> dict[str, Any]:

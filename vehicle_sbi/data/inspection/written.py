@@ -6,7 +6,7 @@ stay unknown.
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 from vehicle_sbi.data.channels import CHANNELS
@@ -14,48 +14,11 @@ from vehicle_sbi.data.inspection.guess import Guess
 from vehicle_sbi.data.inspection.inspection import Inspection, source_of
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_text
-from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, IMU_PRIORS
+from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, IMU_PRIORS, MEANINGS
 
 PRIORS = {**GENERIC_PRIORS, **BODY_PRIORS, **IMU_PRIORS}
 UNEDITED = "a number, or null"
 RADIUS = 0.3  # [m], only to show where it goes: the line is a comment
-CONSTANTS: Mapping[str, str] = {
-    "m": "mass as driven",
-    "L": "wheelbase",
-    "steering_ratio": "steering wheel angle to road wheel angle",
-    "l_f": "front axle to centre of gravity",
-    "h_cog": "height of the centre of gravity",
-    "I_z": "yaw inertia",
-    "C_alpha_f": "cornering stiffness, front axle",
-    "C_alpha_r": "cornering stiffness, rear axle",
-    "C_kappa_f": "longitudinal stiffness, front axle",
-    "C_kappa_r": "longitudinal stiffness, rear axle",
-    "mu": "friction coefficient",
-    "R_f": "free tyre radius",
-    "I_wf": "front wheels and what turns with them",
-    "I_wr": "rear wheels and what turns with them",
-    "drive_front": "share of the drive torque on the front axle: 1 front, 0 rear",
-    "brake_front": "share of the brake torque on the front axle",
-    "imu_x": "IMU ahead of the rear axle; null: at the centre of gravity",
-    "imu_y": "IMU left of the middle",
-    "imu_z": "IMU above the ground",
-    "track_f": "front track",
-    "track_r": "rear track",
-    "m_s": "sprung mass",
-    "I_x": "roll inertia of the sprung mass",
-    "I_y": "pitch inertia of the sprung mass",
-    "h_roll": "roll axis under the centre of gravity",
-    "h_pitch": "height of the pitch axis",
-    "K_roll": "roll stiffness, both axles",
-    "D_roll": "roll damping, both axles",
-    "roll_front": "front axle's share of the roll stiffness",
-    "K_pitch": "pitch stiffness",
-    "D_pitch": "pitch damping",
-    "C_vert": "vertical stiffness of one tyre; .inf: rigid",
-    "K": "lateral carcass stiffness of an axle; .inf: slips without relaxation",
-}
-"""What each constant of a vehicle is, in the order of the file; from track_f on, what only the full vehicle has."""
-
 UNITS = {
     "I_z": "kg m^2",
     "C_vert": "N/m",
@@ -135,7 +98,7 @@ def _yaml(value: object) -> str:
 def _vehicle_lines(name: str, steered: bool) -> Iterator[str]:
     yield f"# The vehicle of {name}: fill in what you know. null: not known, a prior over the range stands for it."
     yield f"name: {_yaml(name)}"
-    for constant, what in CONSTANTS.items():
+    for constant, what in MEANINGS.items():
         if constant == "track_f":
             yield "# from here on, what only model=full_vehicle has"
         asked = constant in ("m", "L") or (constant == "steering_ratio" and steered)

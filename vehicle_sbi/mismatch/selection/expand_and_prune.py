@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float
 
 from vehicle_sbi.inference.directions import Direction, middle
 from vehicle_sbi.inference.effect_prior import EffectPrior
-from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import SHARES, Fit
@@ -243,16 +242,14 @@ def _again(now: _Round, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -
         series += np.tensordot(mean[first : first + len(one.series)], one.series, axes=1)
         first += len(one.series)
     observed = np.where(fit.simulator.windows.valid, fit.observation.observed - series, 0.0)
-    start = as_far_as_simulated(fit.simulator, fit.theta, _theta(expansion, mean[None])[0])
+    start = _simulated(fit, _theta(expansion, mean[None])[0])
     return _Round(expansion, start, rms, replace(fit.observation, observed=observed))
 
 
-def as_far_as_simulated(
-    simulator: Simulator, start: Float[np.ndarray, " d"], theta: Float[np.ndarray, " d"]
-) -> Float[np.ndarray, " d"]:
-    """As far on the way from a start to theta as the car can be simulated: at first order it does not spin."""
-    points = start + np.array([*SHARES, 0.0])[:, None] * (theta - start)
-    y = simulator.noise_free(points)[:, simulator.windows.valid]
+def _simulated(fit: Fit, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+    """As far on the way from a fit to theta as the car can be simulated: at first order it does not spin."""
+    points = fit.theta + np.array([*SHARES, 0.0])[:, None] * (theta - fit.theta)
+    y = fit.simulator.noise_free(points)[:, fit.simulator.windows.valid]
     return points[int(np.argmax(np.isfinite(y).all(axis=1)))]
 
 
