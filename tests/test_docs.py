@@ -165,7 +165,8 @@ def test_every_block_says_what_it_is_and_every_command_composes(page: Path) -> N
     "ls",
 ])  # fmt: skip
 def test_a_wrong_command_is_found(wrong: str) -> None:
-    with pytest.raises((AssertionError, KeyError, FileNotFoundError, HydraException, OmegaConfBaseException, InputError)):
+    refusals = (AssertionError, KeyError, FileNotFoundError, HydraException, OmegaConfBaseException, InputError)
+    with pytest.raises(refusals):
         check(wrong)
 
 
