@@ -12,7 +12,6 @@ from vehicle_sbi.mismatch.answer.verdict import Found, verdict
 from vehicle_sbi.mismatch.design.identifiability import card
 from vehicle_sbi.mismatch.estimation.fit_check import Gate
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.hypotheses.dictionary import Repertoire
 from vehicle_sbi.mismatch.pipeline import proved
 from vehicle_sbi.mismatch.problem.case import Case
 from vehicle_sbi.mismatch.selection.detection import examine
@@ -40,7 +39,7 @@ def diagnosed() -> tuple[Case, Found, Verdict]:
     known = [d for d in left_out(base.simulator, base.theta) if d.effect in EFFECTS]
     seen, examined = (
         card(base.simulator, base.theta, known),
-        examine(Repertoire.around(base, known), np.random.default_rng(0)),
+        examine(base, known, np.random.default_rng(0)),
     )
     pruned = expand_and_prune(base, known, None, prior=case.effect_prior, rng=np.random.default_rng(0), budget=SHORT)
     likeliest = extended(base, pruned, seen.alike, detected=True)

@@ -16,7 +16,8 @@ from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.directions import longest
-from vehicle_sbi.mismatch.hypotheses.block import Block, lies_in, own_time, stretches
+from vehicle_sbi.mismatch.hypotheses.block import lies_in, own_time, stretches
+from vehicle_sbi.mismatch.hypotheses.hypothesis import Block
 from vehicle_sbi.mismatch.problem.case import Diagnosis, _shares
 from vehicle_sbi.physics.single_track import INPUTS
 

@@ -7,9 +7,11 @@ import pytest
 from recorded import fitted, lateral, recorded
 from scipy.stats import kstest
 
-from vehicle_sbi.inference.directions import directions, slopes
+from vehicle_sbi.inference.directions import Direction, directions, slopes
 from vehicle_sbi.mismatch.estimation.fit import Fit
-from vehicle_sbi.mismatch.hypotheses.block import bump, clock, stretches
+from vehicle_sbi.mismatch.estimation.linearised import Linearised
+from vehicle_sbi.mismatch.hypotheses import block, quantisation
+from vehicle_sbi.mismatch.hypotheses.hypothesis import Hypothesis
 from vehicle_sbi.mismatch.selection.score_test import Scores, score
 from vehicle_sbi.physics.effects import CATALOGUE
 
@@ -18,16 +20,19 @@ def scores(b: float, information: float, low: float, high: float) -> Scores:
     """Of a direction whose log likelihood is b a - information a^2 / 2."""
     size = np.clip(b / information, low, high)
     gain = max(b * size - 0.5 * information * size**2, 0.0)
-    one = [np.array([value]) for value in (gain, size, information, low, high)]
-    return Scores(*one, null=np.zeros((1, 1)))
+    nothing = np.zeros((1, 1))
+    return Scores(np.array([gain]), np.array([size]), nothing, together=nothing[0], null_together=nothing)
 
 
-def bumps_of(fit: Fit, channel: int) -> np.ndarray:
-    """Every stretch of time of one channel."""
-    spans = stretches(fit.simulator)
-    bumps = np.zeros((len(spans), *fit.at.y.shape))
-    bumps[:, channel] = [bump(clock(fit.simulator), *span) for span in spans]
-    return bumps
+def along(fit: Fit, found: list[Direction]) -> list[Hypothesis]:
+    """Directions with what a unit of each does."""
+    changes = slopes(fit.simulator, fit.theta, found)
+    return [Hypothesis(d.parameter.name, d.low, d.high, change) for d, change in zip(found, changes, strict=True)]
+
+
+def stretches_of(fit: Fit, *channels: str) -> list[Hypothesis]:
+    """Every stretch of time of some channels."""
+    return [one for one in block.tested(fit) if one.block and one.block.channel in channels and not one.block.regime]
 
 
 def test_a_size_of_the_wrong_sign_explains_nothing() -> None:
@@ -36,12 +41,12 @@ def test_a_size_of_the_wrong_sign_explains_nothing() -> None:
 
 
 def test_the_size_of_a_bias_comes_out_as_it_went_in() -> None:
-    # Linear in the data: off by the noise alone, whose standard deviation is 1 / sqrt(information); four of it.
+    # Linear in the data: off by the noise alone, whose standard deviation is the size over its score; four of it.
     fit = fitted(recorded(lateral(), accelerometer_bias__x=0.2))
     found = directions(fit.simulator, fit.theta, CATALOGUE["accelerometer_bias"])
-    low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
-    s = score(fit, slopes(fit.simulator, fit.theta, found), low, high, rng=np.random.default_rng(0), draws=200)
-    assert s.size[0] == pytest.approx(0.2, abs=4 / np.sqrt(s.information[0]))
+    about = Linearised.of(fit)
+    s = score(about, along(fit, found), quantisation.together(about), rng=np.random.default_rng(0), draws=200)
+    assert s.size[0] == pytest.approx(0.2, abs=4 * s.size[0] / s.z[0])
     assert s.p_value() <= 2 / 201  # of two statistics, each of which has a largest in drawn noise
 
 
@@ -51,12 +56,11 @@ def test_scores_do_not_depend_on_the_unit_of_a_size(unit: float) -> None:
     # fit's own parameters in one system of equations, which is solved in double precision.
     fit = fitted(recorded(lateral(), steering_compliance__coefficient=5e-7))
     found = directions(fit.simulator, fit.theta, CATALOGUE["steering_compliance"])
-    high = np.array([d.high for d in found]) / 1e-6
-    changes = slopes(fit.simulator, fit.theta, found) * 1e-6
-    one, other = (
-        score(fit, changes * factor, -high / factor, high / factor, rng=np.random.default_rng(0), draws=20)
-        for factor in (1.0, 1.0 / unit)
-    )
+    in_units = [
+        [replace(d, low=d.low / f, high=d.high / f, change=d.change * f) for d in along(fit, found)]
+        for f in (1e-6, 1e-6 / unit)
+    ]
+    one, other = (score(Linearised.of(fit), d, [], rng=np.random.default_rng(0), draws=20) for d in in_units)
     np.testing.assert_allclose(other.z, one.z, rtol=1e-4)
     np.testing.assert_allclose(other.size, one.size * unit, rtol=1e-4)
 
@@ -73,13 +77,11 @@ def test_p_values_are_uniform_where_nothing_is_missing(rho: float, seconds: floa
             d for name in ("gyro_bias", "accelerometer_bias", "yaw_inertia", "steering_offset")
             for d in directions(fit.simulator, fit.theta, CATALOGUE[name])
         ]  # fmt: skip
-        low, high = np.array([d.low for d in found]), np.array([d.high for d in found])
-        changes = slopes(fit.simulator, fit.theta, found)
-        p.append(score(fit, changes, low, high, rng=np.random.default_rng(seed), draws=150).p_value())
-        bumps = np.concatenate([bumps_of(fit, channel) for channel in range(sim.shape[0])])
-        rows, free = np.arange(len(bumps)).reshape(sim.shape[0], -1).tolist(), np.full(len(bumps), np.inf)
-        scores = score(fit, bumps, -free, free, rng=np.random.default_rng(seed), draws=150, together=rows)
-        together.append(scores.p_value())
+        about = Linearised.of(fit)
+        stairs, bumps = quantisation.together(about), stretches_of(fit, *sim.windows.channels)
+        p.append(score(about, along(fit, found), stairs, rng=np.random.default_rng(seed), draws=150).p_value())
+        at_once = [*block.together(about, bumps), *stairs]
+        together.append(score(about, bumps, at_once, rng=np.random.default_rng(seed), draws=150).p_value())
     assert kstest(p, "uniform").pvalue > 1e-3
     assert kstest(together, "uniform").pvalue > 1e-3
 
@@ -91,7 +93,7 @@ def test_a_walk_is_no_noise_once_it_remembers_for_long() -> None:
     off = observation.observed.copy()
     off[2] += walk
     fit = fitted(replace(observation, observed=off))
-    bumps = bumps_of(fit, 2)
-    free = np.full(len(bumps), np.inf)
-    s = score(fit, bumps, -free, free, rng=np.random.default_rng(0), draws=200, together=[range(len(bumps))])
+    about, bumps = Linearised.of(fit), stretches_of(fit, "yaw_rate")
+    at_once = [*block.together(about, bumps), *quantisation.together(about)]
+    s = score(about, bumps, at_once, rng=np.random.default_rng(0), draws=200)
     assert s.p_value() < 0.05

@@ -32,7 +32,7 @@ def test_a_sensor_s_course_is_what_its_series_are(here) -> None:
 def test_a_law_that_is_drawn_is_said_with_its_target_its_signal_and_its_size(here) -> None:
     # Coefficients that stand for a moment along the yaw rate cubed: the others are drawn as nothing.
     fit, found = here
-    course = signals(fit.simulator, fit.theta, {})["yaw rate cubed"].reshape(-1)
+    course = signals(fit.simulator, fit.theta)["yaw rate cubed"].reshape(-1)
     k = next(k for k, one in enumerate(found) if one.target.name == "moment about z" and "signals" in one.kind)
     c, *_ = np.linalg.lstsq(found[k].course.T, 100.0 * course, rcond=None)
     coefficient = np.zeros((5, sum(len(one.series) for one in found)))

@@ -26,9 +26,10 @@ inference.directions inference.plausible inference.study inference.calibration
 mismatch.problem.observation mismatch.problem.case mismatch.estimation.estimate mismatch.estimation.fit
 mismatch.estimation.model mismatch.estimation.elsewhere mismatch.estimation.multistart mismatch.estimation.base_fit
 mismatch.estimation.fit_check mismatch.estimation.linearised mismatch.estimation.expansion
-mismatch.estimation.linear_gaussian mismatch.hypotheses.block mismatch.hypotheses.regressor
-mismatch.hypotheses.quantisation mismatch.hypotheses.discrepancy mismatch.hypotheses.spans
-mismatch.hypotheses.dictionary mismatch.selection.score_test mismatch.selection.detection mismatch.selection.inclusion
+mismatch.estimation.linear_gaussian mismatch.hypotheses.hypothesis mismatch.hypotheses.block
+mismatch.hypotheses.regressor mismatch.hypotheses.quantisation mismatch.hypotheses.discrepancy
+mismatch.hypotheses.spans mismatch.hypotheses.effect mismatch.hypotheses.dictionary
+mismatch.selection.score_test mismatch.selection.detection mismatch.selection.inclusion
 mismatch.selection.expand_and_prune mismatch.selection.extended mismatch.selection.reinfer
 mismatch.selection.predictive mismatch.selection.acceptance mismatch.design.cannot_act mismatch.design.identifiability
 mismatch.design.experiment mismatch.answer.schema mismatch.answer.wording mismatch.answer.verdict mismatch.pipeline

@@ -24,7 +24,6 @@ def problem(*, signed: bool) -> tuple[np.ndarray, np.ndarray, Groups]:
     groups = Groups(
         start=2,
         stop=np.arange(3, 8),
-        precision=np.ones(2),
         amplitude=np.tile([1.0, *SLABS], (5, 1)),
         share=np.tile([1.0, 0.7, 0.3], (5, 1)),
         rate=np.array([0.1, 0.3, 0.3, 0.3, 0.5]),
@@ -40,7 +39,7 @@ def enumerated(H: np.ndarray, b: np.ndarray, groups: Groups) -> np.ndarray:
     for level in itertools.product(range(3), repeat=5):
         for spike, missing in itertools.product(SHARED.spikes, SHARED.missing):
             sd = np.array([groups.amplitude[g, k] * (1.0 if k else spike) for g, k in enumerate(level)])
-            precision = np.concatenate([groups.precision, sd**-2])
+            precision = np.concatenate([np.ones(groups.start), sd**-2])
             A = H + np.diag(precision)
             mean, S = np.linalg.solve(A, b), np.linalg.inv(A)
             log = 0.5 * b @ mean - 0.5 * np.linalg.slogdet(A)[1] + 0.5 * np.log(precision).sum()

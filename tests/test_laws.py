@@ -29,6 +29,6 @@ def test_slopes_are_what_a_small_size_does(name: str) -> None:
     sim, one = lateral(), law(name)
     y = sim.noise_free(TRUTH[None])[0]
     size = 0.05 * one.target.size.high
-    moved = under(sim, one).noise_free(np.array([[*TRUTH, size], [*TRUTH, -size]]))
+    moved = under(sim, [one]).noise_free(np.array([[*TRUTH, size], [*TRUTH, -size]]))
     central = (moved[0] - moved[1]) / (2.0 * size)
     assert np.abs(law_slopes(sim, TRUTH, y, [one])[0] - central).max() < 0.05 * np.abs(central).max()

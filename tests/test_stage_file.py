@@ -15,15 +15,14 @@ from conftest import ROOT
 from recorded import TRUTH, lateral, recorded
 
 from vehicle_sbi.files import write_atomically
-from vehicle_sbi.inference.directions import directions
+from vehicle_sbi.inference.directions import Direction, directions
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import Gate
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.hypotheses.block import Block
-from vehicle_sbi.mismatch.hypotheses.dictionary import Inventory
-from vehicle_sbi.mismatch.hypotheses.regressor import laws
-from vehicle_sbi.mismatch.selection.detection import Examined
-from vehicle_sbi.mismatch.selection.score_test import Group, Scores
+from vehicle_sbi.mismatch.hypotheses.block import Stretch
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
+from vehicle_sbi.mismatch.hypotheses.regressor import targets
+from vehicle_sbi.mismatch.selection.detection import Examined, Place
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE, RECORD
 from vehicle_sbi.report import stage_file
@@ -61,24 +60,25 @@ def a_fit(windows: int = 1) -> Fit:
 
 @dataclass(frozen=True)
 class Kept:
-    """What a stage may hold: models about one fit, and what was examined about it."""
+    """What a stage may hold: models about one fit, what was examined about it, directions, and what is left over."""
 
     models: list[Model]
     examined: Examined
     again: Examined
+    directions: list[Direction]
+    remainders: list[Remainder]
 
 
 @pytest.fixture(scope="module")
 def found() -> Kept:
     fit = a_fit()
-    (bias, *_) = directions(fit.simulator, fit.theta, CATALOGUE["gyro_bias"])
-    given = laws(fit.simulator, fit.theta, fit.at.y)[:3]
+    known = directions(fit.simulator, fit.theta, CATALOGUE["gyro_bias"])
     named = Model(("gyro_bias",), fit, (), posterior=np.ones((2, 3)))
-    k = np.arange(3.0)
-    scores = Scores(k, k, k, -k, k, np.zeros((0, 3)), (Group(1.0, k),))
-    free = Inventory([bias], [Block("a_x", 0.0, np.inf)], given)
-    examined = Examined(fit, free, scores)
-    return Kept([Model((), fit, ()), named], examined, examined)
+    place = Place("a_x", 0.0, np.inf, 0.01, 1.0, "", [Stretch("a.csv", 0.0, np.inf)])
+    examined = Examined(fit, 0.01, [place])
+    k, (target, *_) = np.arange(3.0), targets(fit.simulator, fit.at.y)
+    left = [Remainder(target, k, k, 1.0, signal, 0.5, 0.5) for signal in ("speed", "time")]
+    return Kept([Model((), fit, ()), named], examined, examined, known, left)
 
 
 def same(a: object, b: object) -> bool:
@@ -110,8 +110,8 @@ def test_one_object_in_several_places_is_one_object_again(found: Kept, tmp_path:
     back = read(tmp_path / "one.npz", Kept)
     assert back.examined is back.again
     assert all(model.fit is back.examined.fit for model in back.models)
-    given = [law.units for law in back.examined.free.laws]
-    assert all(units is given[0] for units in given)
+    one, other = back.remainders
+    assert one.target is other.target
 
 
 def test_values_keep_their_types(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_what_is_no_data_is_refused_with_its_place(value: object, where: str, tm
 
 
 def test_classes_are_those_of_the_expected_type() -> None:
-    assert {"Kept", "Fit", "Parameter", "Law"} <= {one.__name__ for one in dataclasses_in(Kept).values()}
+    assert {"Kept", "Fit", "Parameter", "Target"} <= {one.__name__ for one in dataclasses_in(Kept).values()}
     assert [*dataclasses_in(tuple[Gate, ...])] == ["vehicle_sbi.mismatch.estimation.fit_check.Gate"]
 
 

@@ -16,6 +16,7 @@ from vehicle_sbi.mismatch.hypotheses.quantisation import (
     Staircases,
     _steps,
     rounding,
+    together,
 )
 from vehicle_sbi.mismatch.problem.observation import Observation
 
@@ -32,18 +33,19 @@ def read_in_steps(step: float, *, seed: int = 0, rho: float = 0.0) -> Observatio
 
 
 @pytest.mark.parametrize(("times", "rho"), [(1.5, 0.0), (3.0, 0.0), (3.0, 0.6)])
-def test_steps_as_large_as_the_noise_are_found_with_their_size(times: float, rho: float) -> None:
-    # The step to within three points of the grid, one by which it misses the step and one each by which noise moves the
-    # likeliest up or down; the error's size, which is 1, to within four standard deviations, which are that over its
-    # score, and what the grid's phase loses of it.
+def test_steps_as_large_as_the_noise_are_found(times: float, rho: float) -> None:
+    # The step to within three points of the grid: one by which it misses the step, and one each by which noise moves
+    # the likeliest up or down. No other step gains as much.
     sim = lateral(rho=rho)
     step = times * float(sim.noise.floor[YAW])
     about = Linearised.of(fitted(read_in_steps(step, rho=rho)))
     one = next(one for one in Staircase.of_each(about) if one.channel == YAW)
-    found, size, score = one.likeliest()
-    assert score > 5.0
-    assert abs(1.0 / found - 1.0 / step) * np.abs(one.said).max() < 3.0 * PHASE
-    assert size == pytest.approx(1.0, abs=4.0 * size / score + 4.0 * PHASE)
+    near = np.abs(1.0 / one.steps - 1.0 / step) * np.abs(one.said).max() < 3.0 * PHASE
+    left = about.absorbed(about.residual)
+    best, others = (float(replace(one, steps=one.steps[which]).gains(left)[0]) for which in (near, ~near))
+    assert best == pytest.approx(one.gains(left)[0], rel=1e-5)  # in single precision
+    assert best > others
+    assert np.sqrt(2.0 * best) > 5.0
 
 
 def test_noise_alone_is_scored_as_noise_is() -> None:
@@ -52,7 +54,7 @@ def test_noise_alone_is_scored_as_noise_is() -> None:
     ranks = []
     for seed in range(25):
         about = Linearised.of(fitted(recorded(lateral(), seed=seed)))
-        tested = Staircases(Staircase.of_each(about))
+        (tested,) = together(about)
         here = tested.gains(about.absorbed(about.residual))[0]
         drawn = tested.gains(about.absorbed(about.drawn(199, np.random.default_rng(seed))))
         ranks.append((1 + np.sum(drawn >= here)) / 200)

@@ -22,7 +22,6 @@ from vehicle_sbi.mismatch.design.identifiability import card
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import Gate
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.hypotheses.dictionary import Repertoire
 from vehicle_sbi.mismatch.selection.detection import examine
 from vehicle_sbi.mismatch.selection.expand_and_prune import Budget, Pruned, expand_and_prune
 from vehicle_sbi.mismatch.selection.extended import alternatives, extended, with_effects
@@ -170,7 +169,7 @@ def test_a_headline_has_at_most_25_words_however_many_names_there_are() -> None:
 
 def test_what_is_found_has_the_base_model_that_was_examined(base: Fit) -> None:
     known = directions(base.simulator, base.theta, CATALOGUE["body_roll"])
-    examined = examine(Repertoire.around(base, known), np.random.default_rng(0))
+    examined = examine(base, known, np.random.default_rng(0))
     seen = card(base.simulator, base.theta, known)
     found = Found(Gate(0.1, 0.0), examined, None, extended(base, None, [], detected=True), {}, None, seen)
     assert found.base.fit is base

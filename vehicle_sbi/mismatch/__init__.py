@@ -9,9 +9,9 @@ takes a case through these rooms, each of which imports only from those above it
     estimation   fits: Gauss-Newton under estimated noise (`fit`), from many starts (`base_fit`, `multistart`), whether
                  one can be trusted (`fit_check`), the model with every effect in (`expansion`), all of it made linear
                  (`linear_gaussian`, `linearised`)
-    hypotheses   what may be missing: effects of the catalogue and their changes (`dictionary`), the spans of those that
-                 come and go (`spans`), what no effect stands for (`discrepancy`, along signals of `regressor`), places
-                 in the recordings (`block`), a channel that reads in steps (`quantisation`)
+    hypotheses   what may be missing, in one form (`hypothesis`), a kind a file, listed in `dictionary`: effects of the
+                 catalogue (`effect`) and the spans of those that come and go (`spans`), loads and errors that no effect
+                 stands for (`regressor`, `discrepancy`), places (`block`), readings in steps (`quantisation`)
     selection    is anything missing (`score_test`, `detection`); which effects (`inclusion`, `expand_and_prune`); the
                  likeliest model (`extended`) and what it predicts (`predictive`, `acceptance`)
     design       what the recordings could show at all (`identifiability`, `cannot_act`), and which further one would

@@ -14,7 +14,6 @@ from vehicle_sbi.mismatch.estimation.base_fit import fitted
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.fit_check import Gate, through
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.hypotheses.dictionary import Repertoire
 from vehicle_sbi.mismatch.problem.case import Case
 from vehicle_sbi.mismatch.selection.detection import Examined, examine
 from vehicle_sbi.mismatch.selection.expand_and_prune import BUDGET, Budget, Pruned, expand_and_prune
@@ -75,7 +74,7 @@ def steps(
     known = keep("directions", list[Direction], lambda: left_out(base.simulator, base.theta))
     seen = keep("separability", Card, lambda: card(base.simulator, base.theta, known))
     showing = seen.visible(known)
-    examined = keep("examined", Examined, lambda: examine(Repertoire.around(base, showing), draws))
+    examined = keep("examined", Examined, lambda: examine(base, showing, draws))
     enough = budget if examined.detected else replace(budget, rounds=1, pooled=1)
     at_once = keep(
         "pruned",

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.inference.directions import Direction, directions, responses, within
+from vehicle_sbi.inference.directions import Direction, directions, slopes, within
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.physics.effects import CATALOGUE, Effect
 from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS, MEASUREMENTS
@@ -56,8 +56,7 @@ def _measuring_everything(simulator: Simulator) -> Simulator:
 
 def _moved(simulator: Simulator, theta: Float[np.ndarray, " d"], found: list[Direction]) -> list[str]:
     """Channels that any of the directions changes."""
-    y = responses(simulator, theta, [{}, *({**d.held, d.parameter: d.away} for d in found)])
-    change = np.nanmax(np.abs(y[1:] - y[0]), axis=(0, 2))
+    change = np.nanmax(np.abs(slopes(simulator, theta, found)), axis=(0, 2))
     return [name for name, moved in zip(simulator.windows.channels, change, strict=True) if moved > 0.0]
 
 

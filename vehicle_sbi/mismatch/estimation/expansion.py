@@ -76,12 +76,6 @@ class Expansion:
         of = [p.name.rstrip("0123456789") for p in self.sizes]
         return [len([*same]) for _, same in itertools.groupby(of)]
 
-    @property
-    def slices(self) -> tuple[slice, slice, slice]:
-        """Where base parameters, sizes and shapes are."""
-        first, second = len(self.base), len(self.base) + len(self.sizes)
-        return slice(0, first), slice(first, second), slice(second, second + len(self.shapes))
-
     def only(self, sizes: Collection[str]) -> "Expansion":
         """With some of the sizes alone, and the shapes of their effects."""
         kept = np.array([p.name in sizes for p in self.sizes], dtype=bool)

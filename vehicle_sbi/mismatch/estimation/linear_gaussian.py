@@ -47,7 +47,8 @@ def linear_gaussian(
 
 def order(expansion: Expansion) -> np.ndarray:
     """Places of the parameters in the order of the columns: base, shapes, sizes."""
-    base, sizes, shapes = (np.arange(one.start, one.stop) for one in expansion.slices)
+    counts = [len(one) for one in (expansion.base, expansion.sizes, expansion.shapes)]
+    base, sizes, shapes = np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1])
     return np.concatenate([base, shapes, sizes])
 
 

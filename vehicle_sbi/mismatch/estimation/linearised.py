@@ -162,11 +162,10 @@ def _runs(paired: Bool[np.ndarray, " time"]) -> list[slice]:
 
 @dataclass(frozen=True)
 class Profiled:
-    """Sizes of directions at their likeliest, the log likelihood there and the information about them."""
+    """Sizes of directions at their likeliest, and the log likelihood there."""
 
     size: Float[np.ndarray, "k q"]
     log_likelihood: Float[np.ndarray, " k"]
-    information: Float[np.ndarray, "k q q"]
 
 
 @dataclass(frozen=True)
@@ -184,8 +183,8 @@ class Quadratic:
 
     @classmethod
     def of(cls, about: Linearised, changes: Float[np.ndarray, "k q channels time"]) -> "Quadratic":
-        """For everything that the fit can move, m in number, then what can come back from the rim, and q directions in
-        each of k models."""
+        """For everything that the fit can move, m in number, what can come back from the rim included, and one
+        direction (q = 1) or none in each of k models."""
         k, q, channels, time = changes.shape
         J, changes = about.moving, np.nan_to_num(changes)
         m, flat = len(J), changes.reshape(k * q, channels, time)
@@ -193,10 +192,7 @@ class Quadratic:
         H[..., :m, :m] = about.own_products[:, :, None]
         H[..., :m, m:] = about.products(J, flat).reshape(3, channels, m, k, q).transpose(0, 1, 3, 2, 4)
         H[..., m:, :m] = np.swapaxes(H[..., :m, m:], -1, -2)
-        if q == 1:
-            H[..., m, m] = about.squares(flat)
-        for row, g in enumerate(changes if q > 1 else ()):
-            H[:, :, row, m:, m:] = about.products(g, g)
+        H[..., m:, m:] = about.squares(flat).reshape(3, channels, k, q, q)
         b[..., :m] = about.products_left[:, :, None, :, 0]
         b[..., m:] = about.products(flat, about.residual).reshape(3, channels, k, q)
         return cls(H, b, about.squares(about.residual), about.count, about.largest_rho)
@@ -238,13 +234,14 @@ def profile(
     low: np.ndarray,
     high: np.ndarray,
 ) -> Profiled:
-    """k models with q directions each, sizes within low and high (k, q), all else and the noise at their best."""
+    """k models with a direction (q = 1) or none each, its size within low and high (k, q), all else and the noise at
+    their best."""
     k, q, m, p = *changes.shape[:2], len(about.J), len(about.back)
     if k > MODELS:
         low, high = (np.broadcast_to(end, (k, q)) for end in (low, high))
         parts = [slice(first, first + MODELS) for first in range(0, k, MODELS)]
         found = [profile(about, changes[part], low[part], high[part]) for part in parts]
-        each = [(one.size, one.log_likelihood, one.information) for one in found]
+        each = [(one.size, one.log_likelihood) for one in found]
         return Profiled(*(np.concatenate(values) for values in zip(*each, strict=True)))
     quadratic = Quadratic.of(about, changes)
     prior = np.diag(np.repeat([1.0, 0.0], [m, p + q]))
@@ -254,13 +251,7 @@ def profile(
     )
     x = quadratic.solved(prior, low, high)
     log_likelihood = quadratic.log_likelihood(x) - 0.5 * x**2 @ np.diag(prior)
-    A, _ = quadratic.weighted(x, prior)
-    free = np.concatenate([np.ones((k, m)), x[:, m : m + p] > 0.0], axis=1)
-    both = free[:, :, None] * free[:, None, :]
-    others = np.where(both > 0.0, A[:, : m + p, : m + p], np.eye(m + p))
-    cross = A[:, m + p :, : m + p] * free[:, None, :]
-    information = A[:, m + p :, m + p :] - cross @ np.linalg.solve(others, np.swapaxes(cross, 1, 2))
-    return Profiled(x[:, m + p :], log_likelihood, information)
+    return Profiled(x[:, m + p :], log_likelihood)
 
 
 def kinds(rho: np.ndarray) -> np.ndarray:

@@ -9,31 +9,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.linearised import Linearised, Products, Quadratic
+from vehicle_sbi.mismatch.hypotheses.hypothesis import Block, Hypothesis, changes_of
 from vehicle_sbi.physics.single_track import INPUTS
 
 BLOCKS = 12  # stretches of time that overlap by half
 LEAST_S = 0.5  # [s], the shortest of them
 BUSY = 0.3  # share of samples that a regime takes up: the most extreme of a quantity
 UNITS = {"|steering|": "rad", "steering rate": "rad/s", "|a_y|": "m/s^2", "speed": "m/s", "torque": "N m"}
-
-
-@dataclass(frozen=True)
-class Block:
-    """A place where simulation and recording may differ; times [s] are those of the recordings, one after another, and
-    the regime reads "speed above 20 m/s" or "in proportion to speed"."""
-
-    channel: str
-    from_s: float
-    to_s: float
-    regime: str = ""
-
-    def holds(self, other: "Block") -> bool:
-        """Whether the other block begins within this one, in the same channel and regime."""
-        same = (self.channel, self.regime) == (other.channel, other.regime)
-        return same and self.from_s <= other.from_s <= self.to_s
 
 
 @dataclass(frozen=True)
@@ -105,48 +92,79 @@ def regimes(
     return signals | {name: signal for name, signal in changing.items() if np.ptp(signal) > 0}
 
 
-def blocks(
-    simulator: Simulator, theta: Float[np.ndarray, " d"], y: Float[np.ndarray, "channels time"]
-) -> tuple[list[Block], Float[np.ndarray, "k channels time"]]:
-    """Every block and the change of the series that it stands for.
-
-    That is a bump or a step of height one, or a change of the channel's gain in proportion to a signal of the drive.
-    """
+def tested(fit: Fit) -> list[Hypothesis]:
+    """Every block: a bump or a step of height one, or a change of the channel's gain in proportion to a signal of the
+    drive."""
+    simulator, y = fit.simulator, fit.at.y
     t, channels = clock(simulator), simulator.windows.channels
-    rows: list[Block] = []
-    bumps: list[np.ndarray] = []
-    for start, stop in stretches(simulator):
-        for channel in channels:
-            rows.append(Block(channel, start, stop))
-            bumps.append(bump(t, start, stop))
-    for name, signal in regimes(simulator, theta, y).items():
+    found = [
+        _tested(fit, Block(channel, start, stop), bump(t, start, stop))
+        for start, stop in stretches(simulator)
+        for channel in channels
+    ]
+    for name, signal in regimes(simulator, fit.theta, y).items():
         limit = np.quantile(signal, 1.0 - BUSY)
         for i, channel in enumerate(channels):
             for regime, shape in (
                 (f"{name} above {limit:.2g} {UNITS[name]}", signal > limit),
                 (f"in proportion to {name}", y[i] * (signal - signal.mean())),
             ):
-                rows.append(Block(channel, float(t.min()), float(t.max()), regime))
-                bumps.append(shape.astype(float))
-    changes = np.zeros((len(rows), len(channels), len(t)))
-    for k, (block, shape) in enumerate(zip(rows, bumps, strict=True)):
-        changes[k, channels.index(block.channel)] = shape
-    return rows, changes
+                found.append(_tested(fit, Block(channel, float(t.min()), float(t.max()), regime), shape))
+    return found
 
 
-def merged(found: Sequence[Block], score: Float[np.ndarray, " k"]) -> list[tuple[Block, float]]:
-    """Blocks that touch in one channel as one, with the sum of their squared scores; the largest first."""
-    whole: list[tuple[Block, float]] = []
-    order = sorted(range(len(found)), key=lambda k: (found[k].regime, found[k].channel, found[k].from_s))
-    for k in order:
-        block, energy = found[k], float(score[k] ** 2)
-        if whole and _touch(whole[-1][0], block):
-            last, before = whole.pop()
-            block = Block(last.channel, last.from_s, max(last.to_s, block.to_s), last.regime)
-            energy += before
-        whole.append((block, energy))
-    return sorted(whole, key=lambda pair: -pair[1])
+def _tested(fit: Fit, block: Block, shape: Shaped[np.ndarray, " time"]) -> Hypothesis:
+    """A block of any size, of a shape over time."""
+    change = np.zeros_like(fit.at.y)
+    change[fit.simulator.windows.channels.index(block.channel)] = shape
+    where = block.regime or f"from {block.from_s:.6g} to {block.to_s:.6g} s"
+    return Hypothesis(f"{block.channel} {where}", -np.inf, np.inf, change, block)
+
+
+def touching(found: Sequence[Block]) -> list[list[int]]:
+    """Numbers of the blocks that touch in one channel, in the order of time; a regime is alone."""
+    groups: list[list[int]] = []
+    for k in sorted(range(len(found)), key=lambda k: (found[k].regime, found[k].channel, found[k].from_s)):
+        if groups and _touch(found[groups[-1][-1]], found[k]):
+            groups[-1].append(k)
+        else:
+            groups.append([k])
+    return groups
 
 
 def _touch(a: Block, b: Block) -> bool:
     return a.channel == b.channel and a.regime == b.regime == "" and b.from_s <= a.to_s
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """What a fit leaves of the q stretches of a channel, to test all of them at once, with their products."""
+
+    about: Linearised
+    left: Float[np.ndarray, "q channels time"]
+    products: Products
+
+    @classmethod
+    def of(cls, about: Linearised, changes: Float[np.ndarray, "q channels time"]) -> "Stretches":
+        left = about.absorbed(np.nan_to_num(changes))
+        return cls(about, left, about.products(left, left))
+
+    def gains(self, e: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, " n"]:
+        """Log likelihood that all of them gain in each absorbed series, at any size, under noise of its own."""
+        n, q = len(e), len(self.left)
+        H = np.broadcast_to(self.products[:, :, None], (*self.products.shape[:2], n, q, q))
+        over = Quadratic(
+            H, self.about.products(e, self.left), self.about.squares(e), self.about.count, self.about.largest_rho
+        )
+        free = np.full((1, q), np.inf)
+        x = over.solved(np.zeros((q, q)), -free, free)
+        return np.maximum(over.log_likelihood(x) - over.log_likelihood(np.zeros_like(x)), 0.0)
+
+
+def together(about: Linearised, alone: Sequence[Hypothesis]) -> list[Stretches]:
+    """The stretches of each channel."""
+    of: dict[str, list[Hypothesis]] = {}
+    for one in alone:
+        if one.block and not one.block.regime:
+            of.setdefault(one.block.channel, []).append(one)
+    return [Stretches.of(about, changes_of(same, about.fit.at.y.shape)) for same in of.values()]

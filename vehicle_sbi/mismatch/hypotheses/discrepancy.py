@@ -11,14 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.hypotheses.block import bump, clock
-from vehicle_sbi.mismatch.hypotheses.regressor import STEADY, Law, Target, law_slopes, signals, targets
+from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
+from vehicle_sbi.mismatch.hypotheses.regressor import Law, Target, law_slopes, signals, targets
 
 ALONG_SIGNALS = 10  # columns at most of a target that is off along the drive's signals
 STRETCH_S = 0.75  # [s] between the middles of neighbouring stretches of a course of its own
 STRETCHES = (12, 40)  # at least and at most
 LEAST = 1e-2  # singular value over the largest one, below which a direction is left out
+NOTHING = 0.03  # of the smallest amplitude, which stands for none; less costs the sampler its digits
+AMPLITUDES = np.geomspace(0.03, 3.0, 5)  # in units of the scale that is believed of them
 
 
 @dataclass(frozen=True)
@@ -50,9 +54,7 @@ def responses(fit: Fit) -> list[Response]:
 
     They hardly depend on where the fit is.
     """
-    acting = targets(fit.simulator, fit.at.y)
-    signal = signals(fit.simulator, fit.theta, {})
-    along = {name: course for name, course in signal.items() if np.std(course) > STEADY}
+    acting, along = targets(fit.simulator, fit.at.y), signals(fit.simulator, fit.theta)
     return [
         *_responses(fit, acting, "along the drive's signals", along, columns=ALONG_SIGNALS, scale=len(along) ** -0.5),
         *_responses(fit, acting, "on a course of its own", _stretches(fit), columns=STRETCHES[1], scale=1.0),
@@ -62,6 +64,25 @@ def responses(fit: Fit) -> list[Response]:
 def discrepancies(fit: Fit, tried: Sequence[Response]) -> list[Discrepancy]:
     """Responses as columns of a linear model, under the noise of a fit."""
     return [_discrepancy(fit, one) for one in tried]
+
+
+def believed(columns: int, prior: EffectPrior) -> Belief:
+    """A discrepancy of so many columns: an amplitude that is half normal on a grid, of either sign."""
+    share = np.exp(-0.5 * AMPLITUDES**2)
+    return Belief(
+        named=False,
+        rate=prior.discrepancy,
+        nothing=NOTHING * prior.scale * AMPLITUDES[0],
+        amplitude=prior.scale * AMPLITUDES,
+        share=share / share.sum(),
+        sign=np.zeros(columns, dtype=np.int64),
+    )
+
+
+def parts(coefficient: Float[np.ndarray, "n columns"], here: Sequence[Discrepancy]) -> list[Float[np.ndarray, "n _"]]:
+    """Coefficients of each discrepancy, of columns that begin with theirs."""
+    ends = np.cumsum([len(one.series) for one in here])
+    return np.split(coefficient[:, : ends[-1]], ends[:-1], axis=1)
 
 
 def _stretches(fit: Fit) -> dict[str, Float[np.ndarray, "windows time"]]:
@@ -128,26 +149,25 @@ def remainders(
     there: Bool[np.ndarray, "n groups"],
 ) -> list[Remainder]:
     """Of each target, what draws of the discrepancies' coefficients say, the one that shows most first."""
-    ends = np.cumsum([len(one.series) for one in here])
-    parts = np.split(coefficient[:, : ends[-1]], ends[:-1], axis=1)
-    courses = {name: x.reshape(-1) for name, x in signals(fit.simulator, fit.theta, {}).items() if np.std(x) > STEADY}
+    own = parts(coefficient, here)
+    courses = {name: course.reshape(-1) for name, course in signals(fit.simulator, fit.theta).items()}
     of_target: dict[str, list[int]] = {}
     for k, one in enumerate(here):
         of_target.setdefault(one.target.name, []).append(k)
     found = [
-        _remainder([here[k] for k in ks], [parts[k] for k in ks], there[:, ks], courses) for ks in of_target.values()
+        _remainder([here[k] for k in ks], [own[k] for k in ks], there[:, ks], courses) for ks in of_target.values()
     ]
     return sorted(found, key=lambda one: -one.shown)
 
 
 def _remainder(
     groups: Sequence[Discrepancy],
-    parts: Sequence[Float[np.ndarray, "n _"]],
+    own: Sequence[Float[np.ndarray, "n _"]],
     there: Bool[np.ndarray, "n groups"],
     courses: dict[str, Float[np.ndarray, " time"]],
 ) -> Remainder:
     """Of one target, all of its groups together."""
-    columns, c = np.concatenate([one.course for one in groups]), np.concatenate(parts, axis=1)
+    columns, c = np.concatenate([one.course for one in groups]), np.concatenate(own, axis=1)
     products = columns @ columns.T / columns.shape[1]
     course = c.mean(axis=0) @ columns
     rms = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", c, products, c, optimize=True), 0.0))

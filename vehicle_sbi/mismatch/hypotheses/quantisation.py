@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linearised import LEAST_VARIANCE, Linearised
@@ -47,36 +47,20 @@ class Staircase:
 
     def gains(self, e: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, " n"]:
         """Log likelihood that the best step gains in each series."""
-        return self._best(e)[0]
-
-    def likeliest(self) -> tuple[float, float, float]:
-        """Of what the fit leaves over: the best step, the size of its error (1 of a sensor that rounds), and its
-        score."""
-        gain, k, size = self._best(self.about.absorbed(self.about.residual))
-        return float(self.steps[k[0]]), float(size[0]), float(np.sqrt(2.0 * gain[0]))
-
-    def _best(
-        self, e: Float[np.ndarray, "n channels time"]
-    ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Gain, place among the steps and size of the best step in each series."""
         series = self._innovations(e[:, self.channel])
         std = np.sqrt(np.maximum(np.mean(series**2, axis=1), LEAST_VARIANCE))
-        error, norm = self._errors
-        along = series.astype(np.float32) @ error.T
-        k = np.argmax(along, axis=1)
-        best = along[np.arange(len(e)), k].astype(float)
-        return 0.5 * np.maximum(best / std, 0.0) ** 2, k, best / norm[k]
+        best = (series.astype(np.float32) @ self._errors.T).max(axis=1).astype(float)
+        return 0.5 * np.maximum(best / std, 0.0) ** 2
 
     @cached_property
-    def _errors(self) -> tuple[Float[np.ndarray, "n neighbours"], Float[np.ndarray, " n"]]:
-        """Of each step its error as innovations of length 1, in single precision, and that length."""
-        errors, norms = [], []
+    def _errors(self) -> Float[np.ndarray, "n neighbours"]:
+        """Of each step its error as innovations of length 1, in single precision."""
+        errors = []
         for steps in np.array_split(self.steps, -(-len(self.steps) // CHUNK)):
             error = self._innovations(rounding(self.said, steps[:, None]))
             norm = np.sqrt(np.maximum(np.sum(error**2, axis=1), LEAST_VARIANCE))
             errors.append((error / norm[:, None]).astype(np.float32))
-            norms.append(norm)
-        return np.concatenate(errors), np.concatenate(norms)
+        return np.concatenate(errors)
 
     def _innovations(self, series: Float[np.ndarray, "n time"]) -> Float[np.ndarray, "n neighbours"]:
         rho = self.about.fit.simulator.noise.rho[self.channel]
@@ -93,6 +77,11 @@ class Staircases:
     def gains(self, e: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, " n"]:
         """Log likelihood that the best step of any channel gains in each series."""
         return np.max([np.zeros(len(e)), *(one.gains(e) for one in self.each)], axis=0)
+
+
+def together(about: Linearised) -> list[Staircases]:
+    """Whether any channel reads in steps."""
+    return [Staircases(Staircase.of_each(about))]
 
 
 def rounding(said: Float[np.ndarray, "*#n time"], step: float | Float[np.ndarray, "*#n 1"]) -> np.ndarray:

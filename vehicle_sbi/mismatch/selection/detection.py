@@ -1,18 +1,19 @@
 """Is anything missing, and where: everything that the base model leaves out, scored at first order about its fit."""
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vehicle_sbi.inference.directions import Direction
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linearised import Linearised
-from vehicle_sbi.mismatch.hypotheses.block import Stretch, lies_in, merged
-from vehicle_sbi.mismatch.hypotheses.dictionary import Inventory, Repertoire
+from vehicle_sbi.mismatch.hypotheses.block import Stretch, lies_in, touching
+from vehicle_sbi.mismatch.hypotheses.dictionary import tested, together
+from vehicle_sbi.mismatch.hypotheses.hypothesis import Block, Hypothesis
 from vehicle_sbi.mismatch.selection.score_test import Scores, score
 
 LEVEL = 0.05  # of the test whether anything is missing
-ALIKE = 0.98  # coherence with a direction of the catalogue from which a law says nothing new
 
 
 @dataclass(frozen=True)
@@ -31,53 +32,38 @@ class Place:
 
 @dataclass(frozen=True)
 class Examined:
-    """The base model's fit with everything that it leaves out, and the scores of it all; each channel's blocks of time
-    are scored together too."""
+    """The base model's fit, how often noise alone would leave as much over, and where it leaves more than noise would,
+    the largest first."""
 
     fit: Fit
-    free: Inventory
-    scores: Scores
-
-    @cached_property
-    def p_value(self) -> float:
-        """How often noise alone would leave as much over."""
-        return self.scores.p_value()
+    p_value: float
+    places: list[Place]
 
     @property
     def detected(self) -> bool:
         return self.p_value < LEVEL
 
-    @property
-    def places(self) -> list[Place]:
-        """Blocks in which the base model leaves more than noise would, the largest first."""
-        if not self.detected:
-            return []
-        z, p = self.scores.z[self.free.of_blocks], self.scores.p_values[self.free.of_blocks]
-        significant = np.flatnonzero(p < LEVEL)
-        whole = merged([self.free.blocks[k] for k in significant], z[significant])
-        total = sum(energy for _, energy in whole)
-        smallest = {
-            place: min(float(p[k]) for k in significant if place.holds(self.free.blocks[k])) for place, _ in whole
-        }
-        return [
-            Place(b.channel, b.from_s, b.to_s, smallest[b], energy / total, b.regime, lies_in(self.fit.simulator, b))
-            for b, energy in whole
-        ]
+
+def examine(fit: Fit, known: Sequence[Direction], rng: np.random.Generator) -> Examined:
+    """Everything that may be missing about a fit, scored; of effects, the directions that are known to act."""
+    about = Linearised.of(fit)
+    alone = tested(about, known)
+    scores = score(about, alone, together(about, alone), rng=rng)
+    p_value = scores.p_value()
+    return Examined(fit, p_value, _places(fit, alone, scores) if p_value < LEVEL else [])
 
 
-def examine(repertoire: Repertoire, rng: np.random.Generator) -> Examined:
-    """Scores of all in the repertoire about a fit, but for laws that do what an effect does."""
-    about = Linearised.of(repertoire.about)
-    new = about.coherence(repertoire.ruled, repertoire.named).max(axis=1, initial=0.0) < ALIKE
-    free = repertoire.ruled_by(new)
-    scores = score(repertoire.about, free.changes, *free.of.bounds, rng=rng, together=_stretches(free.of))
-    return Examined(repertoire.about, free.of, scores)
-
-
-def _stretches(free: Inventory) -> list[list[int]]:
-    """Rows of the blocks of time of each channel."""
-    rows: dict[str, list[int]] = {}
-    for k, block in enumerate(free.blocks, start=free.of_blocks.start):
-        if not block.regime:
-            rows.setdefault(block.channel, []).append(k)
-    return [*rows.values()]
+def _places(fit: Fit, alone: Sequence[Hypothesis], scores: Scores) -> list[Place]:
+    """Blocks that score higher than noise does anywhere, those that touch as one."""
+    both = zip(alone, scores.z, scores.p_values, strict=True)
+    found = [(one.block, float(z**2), float(p)) for one, z, p in both if one.block and p < LEVEL]
+    whole = list[tuple[Block, float, float]]()
+    for rows in touching([block for block, _, _ in found]):
+        blocks, energy, p = zip(*(found[k] for k in rows), strict=True)
+        whole.append((replace(blocks[0], to_s=blocks[-1].to_s), sum(energy), min(p)))
+    whole = sorted(whole, key=lambda one: -one[1])
+    total = sum(energy for _, energy, _ in whole)
+    return [
+        Place(b.channel, b.from_s, b.to_s, p, energy / total, b.regime, lies_in(fit.simulator, b))
+        for b, energy, p in whole
+    ]

@@ -15,15 +15,18 @@ from jaxtyping import Bool, Float
 
 from vehicle_sbi.inference.directions import Direction, middle
 from vehicle_sbi.inference.effect_prior import EffectPrior
+from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import SHARES, Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order
+from vehicle_sbi.mismatch.hypotheses.dictionary import believed
 from vehicle_sbi.mismatch.hypotheses.discrepancy import (
     Discrepancy,
     Remainder,
     Response,
     discrepancies,
+    parts,
     remainders,
     responses,
 )
@@ -33,8 +36,6 @@ from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Sha
 from vehicle_sbi.parameters import Parameter
 
 LEAST_RMS = 0.02  # typical sizes, within which an effect that is out is held
-NOTHING = 0.03  # of the smallest amplitude of a discrepancy, which stands for none; less costs the sampler its digits
-AMPLITUDES = np.geomspace(0.03, 3.0, 5)  # of discrepancies, in units of the scale that is believed of them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,10 +155,10 @@ def expand_and_prune(
         if fit is None:
             break
         fit = replace(fit, observation=replace(fit.observation, observed=base.observation.observed))
-        parts = [fit, *_further(fit, naming)]
-        tried = tried or [responses(one) for one in parts]
-        off = [discrepancies(one, them) for one, them in zip(parts, tried, strict=False)]
-        problem = linear_gaussian(now.expansion, [*zip(parts, map(_columns, off), strict=False)])
+        fits = [fit, *_further(fit, naming)]
+        tried = tried or [responses(one) for one in fits]
+        off = [discrepancies(one, them) for one, them in zip(fits, tried, strict=False)]
+        problem = linear_gaussian(now.expansion, [*zip(fits, map(_columns, off), strict=False)])
         groups, last = groups_of(now.expansion, problem, prior), k >= budget.rounds - budget.pooled
         drawn = sample(problem.H, problem.b, groups, shared, budget.last if last else budget.first, rng)
         found += [_pruned(now.expansion, fit, off[0], drawn)] if last else []
@@ -190,30 +191,10 @@ def _further(fit: Fit, naming: Observation | None) -> list[Fit]:
 
 
 def groups_of(expansion: Expansion, problem: LinearGaussian, prior: EffectPrior) -> Groups:
-    """Each size by itself, profiles over time together, then each discrepancy, with what is believed of them."""
-    stop = np.cumsum(expansion.groups, dtype=np.int64)
-    named, others = len(stop), len(problem.stop)
-    start = len(expansion.unit) - len(expansion.sizes)
-    slabs, shares = np.array(prior.slabs).T
-    levels = 1 + max(len(slabs), len(AMPLITUDES))
-    amplitude, share = np.zeros((named + others, levels)), np.zeros((named + others, levels))
-    none = NOTHING * prior.scale * AMPLITUDES[0]
-    amplitude[:, 0], share[:, 0] = np.repeat([1.0, none], [named, others]), 1.0
-    amplitude[:named, 1 : 1 + len(slabs)], share[:named, 1 : 1 + len(slabs)] = slabs, shares / shares.sum()
-    half_normal = np.exp(-0.5 * AMPLITUDES**2)
-    amplitude[named:, 1:], share[named:, 1:] = prior.scale * AMPLITUDES, half_normal / half_normal.sum()
-    sign = np.zeros(len(problem.b), dtype=np.int64)
-    sign[start : start + len(expansion.sizes)] = expansion.sign
-    return Groups(
-        start=start,
-        stop=np.concatenate([start + stop, problem.stop]),
-        precision=np.ones(start),
-        amplitude=amplitude,
-        share=share,
-        rate=np.concatenate([expansion.rates[stop - 1], np.full(others, prior.discrepancy)]),
-        named=np.arange(named + others) < named,
-        sign=sign,
-    )
+    """Sizes of effects, then discrepancies, with what is believed of them."""
+    first = len(expansion.unit)
+    widths = np.diff(problem.stop, prepend=first)
+    return Groups.of(believed(expansion, widths.tolist(), prior), first - len(expansion.sizes))
 
 
 def _theta(expansion: Expansion, coefficient: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n d"]:
@@ -237,19 +218,22 @@ def _again(now: _Round, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -
     expansion, x = now.expansion, drawn.coefficient
     first = len(expansion.unit)
     rms = np.maximum(np.sqrt(np.mean(x[:, first - len(expansion.sizes) : first] ** 2, axis=0)), LEAST_RMS)
-    mean, series = x.mean(axis=0), np.zeros_like(fit.at.y)
-    for one in here:
-        series += np.tensordot(mean[first : first + len(one.series)], one.series, axes=1)
-        first += len(one.series)
+    mean, series = x.mean(axis=0, keepdims=True), np.zeros_like(fit.at.y)
+    for one, (c,) in zip(here, parts(mean[:, first:], here), strict=True):
+        series += np.tensordot(c, one.series, axes=1)
     observed = np.where(fit.simulator.windows.valid, fit.observation.observed - series, 0.0)
-    start = _simulated(fit, _theta(expansion, mean[None])[0])
+    start = _simulated(fit, _theta(expansion, mean)[0])
     return _Round(expansion, start, rms, replace(fit.observation, observed=observed))
 
 
 def _simulated(fit: Fit, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
     """As far on the way from a fit to theta as the car can be simulated: at first order it does not spin."""
-    points = fit.theta + np.array([*SHARES, 0.0])[:, None] * (theta - fit.theta)
-    y = fit.simulator.noise_free(points)[:, fit.simulator.windows.valid]
+    return first_simulated(fit.simulator, fit.theta + np.array([*SHARES, 0.0])[:, None] * (theta - fit.theta))
+
+
+def first_simulated(simulator: Simulator, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " d"]:
+    """The first of some points where the car does not spin: draws are those of a linear model, which does not know."""
+    y = simulator.noise_free(points)[:, simulator.windows.valid]
     return points[int(np.argmax(np.isfinite(y).all(axis=1)))]
 
 

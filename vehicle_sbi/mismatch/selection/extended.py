@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
+from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned, first_simulated
 
 ALIKE = 0.05  # least probability of an effect that may stand for another
 INSTEAD = -0.3  # correlation of two effects' being there, from which they stand for each other
@@ -44,23 +43,17 @@ def with_effects(base: Fit, pruned: Pruned, effects: Collection[str]) -> Model |
     expansion = pruned.expansion.only(_sizes(pruned, effects))
     simulator = replace(base.simulator, substeps=pruned.fit.simulator.substeps)
     observation = base.observation.extended(simulator).freeing(expansion.space.parameters)
-    start = _first_simulated(observation.simulator, _starts(base, pruned, expansion))
+    start = first_simulated(observation.simulator, _starts(base, pruned, expansion))
     fit = expansion.fitted(observation, start, np.full(len(expansion.sizes), WIDER))
     return None if fit is None else Model(tuple(sorted(effects)), fit, base.simulator.space.names)
 
 
-def _starts(base: Fit, pruned: Pruned, expansion: Expansion) -> list[Float[np.ndarray, " d"]]:
+def _starts(base: Fit, pruned: Pruned, expansion: Expansion) -> Float[np.ndarray, "3 d"]:
     """The means of what was drawn, where the last expanded fit lies, and the base model with sizes at their nulls."""
     names, space = expansion.space.names, pruned.fit.simulator.space
     drawn = np.array([pruned.draws(name).mean() for name in names])
     fitted = pruned.fit.theta[[space.column(name) for name in names]]
-    return [drawn, fitted, np.concatenate([base.theta, expansion.rest[len(base.theta) :]])]
-
-
-def _first_simulated(simulator: Simulator, starts: Sequence[Float[np.ndarray, " d"]]) -> Float[np.ndarray, " d"]:
-    """The first of some points where the car does not spin: draws are those of a linear model, which does not know."""
-    y = simulator.noise_free(np.stack(starts))[:, simulator.windows.valid]
-    return starts[int(np.argmax(np.isfinite(y).all(axis=1)))]
+    return np.stack([drawn, fitted, np.concatenate([base.theta, expansion.rest[len(base.theta) :]])])
 
 
 def _sizes(pruned: Pruned, effects: Collection[str]) -> list[str]:

@@ -24,6 +24,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit
 
+from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
+
 REFRESHED = 5  # sweeps after which S is factorised anew, against rounding
 LEAST = 1e-9  # part of its precision that a direction keeps, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
@@ -42,24 +44,39 @@ class Chain:
 
 @dataclass(frozen=True, kw_only=True)
 class Groups:
-    """Groups of neighbouring columns and what is believed of them before.
+    """What is believed of groups of neighbouring columns, as arrays.
 
-    `stop` is where each group's columns end; those before `start` have a fixed `precision` each. `amplitude` (k,
-    levels) are the standard deviations of a group's coefficients at each level, the first of them the spike's of a
-    named group or (next to) nothing, `share` their prior probabilities beside the first one's. `rate` is the
-    probability of any level beside the first, `named` says which groups are effects, whose spike and rate follow what
-    is learned of all; `sign` (columns) is 1 for a coefficient that cannot be negative, -1 for one that cannot be
-    positive.
+    `stop` is where each group's columns end; those before `start` are always there, with a precision of 1. Levels begin
+    with nothing, the spike of a named group, and end with zeros where a group has fewer. Spikes and rates of named
+    groups follow what is learned of all.
     """
 
     start: int
     stop: Int[np.ndarray, " k"]
-    precision: Float[np.ndarray, " fixed"]
     amplitude: Float[np.ndarray, "k levels"]
     share: Float[np.ndarray, "k levels"]
     rate: Float[np.ndarray, " k"]
     named: Bool[np.ndarray, " k"]
     sign: Int[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, believed: Sequence[Belief], start: int) -> "Groups":
+        """Hypotheses one after another, behind so many columns that are always there."""
+        levels = max((len(one.amplitude) for one in believed), default=0)
+        return cls(
+            start=start,
+            stop=start + np.cumsum([len(one.sign) for one in believed], dtype=np.int64),
+            amplitude=np.array([_levels(one.nothing, one.amplitude, levels) for one in believed]),
+            share=np.array([_levels(1.0, one.share, levels) for one in believed]),
+            rate=np.array([one.rate for one in believed]),
+            named=np.array([one.named for one in believed]),
+            sign=np.concatenate([np.zeros(start, dtype=np.int64), *(one.sign for one in believed)]),
+        )
+
+
+def _levels(first: float, others: Float[np.ndarray, " given"], most: int) -> Float[np.ndarray, " levels"]:
+    """Values of the first level, of the others that there are, and 0 for the rest."""
+    return np.concatenate([[first], others, np.zeros(most - len(others))])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,12 +91,10 @@ class Shared:
 
 @dataclass(frozen=True)
 class Sampled:
-    """States and coefficients that were kept: `level` of each group, `coefficient` of each column, the shared ones."""
+    """States and coefficients that were kept: `level` of each group, `coefficient` of each column."""
 
     level: Int[np.ndarray, "n k"]
     coefficient: Float[np.ndarray, "n columns"]
-    spike: Float[np.ndarray, " n"]
-    missing: Float[np.ndarray, " n"]
 
     @property
     def included(self) -> Bool[np.ndarray, "n k"]:
@@ -101,7 +116,7 @@ def sample(
         begin = np.full(len(groups.stop), k % 2, dtype=np.int64)
         found.append(
             _run(
-                H, b, groups.start, groups.stop, groups.precision, groups.amplitude, groups.share, groups.rate,
+                H, b, groups.start, groups.stop, groups.amplitude, groups.share, groups.rate,
                 groups.named, groups.sign, np.array(shared.spikes), np.array(shared.missing),
                 np.array(shared.discrepant), begin, chain.sweeps, chain.forgotten, chain.every,
                 int(rng.integers(2**31)),
@@ -267,17 +282,16 @@ def _above_zero(mean, std):
 
 @njit(cache=True)
 def _run(
-    H, b, start, stop, fixed, amplitude, share, rate, named, sign, spikes, missings, discrepants, begin, sweeps,
+    H, b, start, stop, amplitude, share, rate, named, sign, spikes, missings, discrepants, begin, sweeps,
     forgotten, every, seed,
 ):  # fmt: skip
-    """One chain; levels, coefficients and shared values of every so many sweeps."""
+    """One chain; levels and coefficients of every so many sweeps."""
     np.random.seed(seed)
     n, k = len(b), len(stop)
     level, slab = begin.copy(), np.zeros(n)
     spike, missing, discrepant = spikes[len(spikes) // 2], missings[-1], discrepants[-1]
     first = np.empty(k, np.int64)
-    precision = np.empty(n)
-    precision[:start] = fixed
+    precision = np.ones(n)
     for g in range(k):
         first[g] = start if g == 0 else stop[g - 1]
         precision[first[g] : stop[g]] = (amplitude[g, level[g]] * (spike if named[g] and level[g] == 0 else 1.0)) ** -2
@@ -285,7 +299,6 @@ def _run(
     S, m, _ = _factorised(H, b, precision)
     kept = (sweeps - forgotten) // every
     levels, values = np.zeros((kept, k), np.int64), np.zeros((kept, n))
-    spiked, lacked = np.zeros(kept), np.zeros(kept)
     row = 0
     for sweep in range(sweeps):
         for _ in range(k):
@@ -324,9 +337,8 @@ def _run(
         discrepant = discrepants[_chosen(tried)]
         if sweep >= forgotten and (sweep - forgotten) % every == 0 and row < kept:
             levels[row], values[row] = level, _drawn(H, precision, m, sign, slab)
-            spiked[row], lacked[row] = spike, missing
             row += 1
-    return levels, values, spiked, lacked
+    return levels, values
 
 
 @njit(cache=True)
