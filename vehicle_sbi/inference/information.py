@@ -225,15 +225,15 @@ def laplace(
 ) -> Laplace | None:
     """Laplace's approximation about the best fit from any start.
 
-    None where the model does not explain what was observed, so that its fit says little. Each fit is weighted by the
-    noise that the one before implies; weights by what was observed would favour low values. They take noise as
-    independent, so where it is not the posterior is that given the fit, wider than that given the series. (MacKay,
-    Information Theory, Inference, and Learning Algorithms, ch. 27.)
+    None where the model does not explain what was observed, so that its fit says little. Where noise depends on the
+    signal, each fit is weighted by the noise that the one before implies; weights by what was observed would favour low
+    values. They take noise as independent, so where it is not the posterior is that given the fit, wider than that
+    given the series. (MacKay, Information Theory, Inference, and Learning Algorithms, ch. 27.)
     """
     noise, valid = simulator.noise, simulator.windows.valid
     none = np.zeros(len(simulator.nuisances))
     fit = _least_squares(simulator, observed, _observed_std(simulator, observed), [(start, none) for start in starts])
-    for _ in range(REWEIGHTED):
+    for _ in range(REWEIGHTED if noise.share.any() else 0):
         theta, eta = fit
         fit = _least_squares(simulator, observed, noise.std(simulator.noise_free(theta[None], eta[None])[0]), [fit])
     theta, eta = fit
