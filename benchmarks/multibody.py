@@ -161,7 +161,7 @@ def full_vehicle(p: Any, delta: np.ndarray, **effects: float) -> dict[str, np.nd
     u[0, :, INPUTS.index("torque_front")] = p.T_sb * p.m * p.R_w * braking
     u[0, :, INPUTS.index("torque_rear")] = (1 - p.T_sb) * p.m * p.R_w * braking
     y, outcome = np.empty((1, len(MEASUREMENTS), len(t))), np.zeros(1, np.int64)
-    substeps = substeps_for(record, "torque", 3.0, RATE, model="full_vehicle")
+    substeps = np.array([substeps_for(record, "torque", 3.0, RATE, model="full_vehicle")])
     none, start = (np.zeros((1, 1, 4)), np.zeros((1, 1, 2))), np.array([[[SPEED, 0.0, 0.0]]])
     rows, groups = np.arange(len(MEASUREMENTS)), np.full(len(MEASUREMENTS), GROUPS.index("imu"))
     driven = DRIVES["torque"], GROUPS.index("can"), u

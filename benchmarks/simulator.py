@@ -109,7 +109,7 @@ def contend(name: str, turns: Connection) -> None:
         initial[:, 0, 0] = rng.uniform(10.0, 11.0, SIMULATIONS)
         y, outcomes = np.empty((SIMULATIONS, 5, SAMPLES), np.float32), np.zeros(SIMULATIONS, np.int64)
         noise = np.zeros((SIMULATIONS, 1, 4)), np.zeros((SIMULATIONS, 1, 2))
-        fixed = (RATE, 1, initial, np.arange(5), np.array([0, 0, 0, 2, 2]), y, outcomes)
+        fixed = (RATE, np.ones(1, np.int64), initial, np.arange(5), np.array([0, 0, 0, 2, 2]), y, outcomes)
         while turns.recv():
             p, start = records(rng), time.perf_counter()
             batch_simulator(CONTENDERS[name])(p, DRIVES["torque"], GROUPS.index("can"), inputs(), *noise, *fixed)

@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from vehicle_sbi.data.inspection.inspection import Inspection
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
-from vehicle_sbi.data.inspection.written import write, write_vehicle
+from vehicle_sbi.data.inspection.written import ASSUMED, write, write_vehicle
 
 
 @launch("inspect_recording")
@@ -41,7 +41,7 @@ def mapping_given(cfg: DictConfig) -> str | None:
 def say_next(inspection: Inspection, mapping: Path | str, vehicle: Path, done: str) -> None:
     """What was written, and what to type next for either answer."""
     called = "vehicle-sbi {}" if "VEHICLE_SBI_COMMAND" in os.environ else "python scripts/{}.py"
-    print(f"{done}, then for parameters, or for what a simulation lacks")
+    print(f"{done} ({ASSUMED})\nthen for parameters, or for what a simulation lacks")
     for verb in ("run", "diagnose"):
         print(f"  {next_command(inspection, mapping, vehicle, command=called.format(verb))}")
 

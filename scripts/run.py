@@ -24,7 +24,7 @@ def main(cfg: DictConfig) -> None:
     with run_folder(cfg, inputs=prepared.inputs) as folder:
         if not folder.finished:
             with folder.stage("rounds"):
-                inference = infer(prepared.problem, scheme, folder.checkpoints)
+                inference = infer(prepared.problem, scheme, folder.checkpoints, warn=warn)
             report(folder, prepared, inference, samples=cfg.samples, reweight=cfg.reweight)
         show(folder)
 

@@ -175,7 +175,7 @@ def simulate(
         np.zeros((n, 1, 4)) if stiffness_noise is None else stiffness_noise,
         np.zeros((n, 1, 2)) if input_noise is None else input_noise,
         rate,
-        substeps,
+        np.array([substeps]),
         start,
         np.arange(len(MEASUREMENTS)),
         np.array([GROUPS.index(group) for group in REPORTED_BY]),

@@ -276,7 +276,6 @@ def test_every_file_repeats_the_caveats(tmp_path: Path, format: str) -> None:
         "run": [WARNING, "This run did not look for physics that its model lacks."],
         "diagnosis": [
             "Missing: body roll (0.95), steering delay (0.80).",
-            "no known effect stands for: 0.62",
             "NOT accepted: it gains nothing there",
             "cannot tell which: steering_delay or sensor_delay",
             "l_f lies on the edge of its prior",
@@ -429,3 +428,17 @@ def test_the_script_refuses_in_one_line(arguments: tuple[str, ...], said: str) -
     assert err.startswith("error: ")
     assert len(err.splitlines()) == 1
     assert said in err
+
+
+def test_a_value_on_the_edge_of_its_prior_is_said_to_be_a_limit(tmp_path: Path) -> None:
+    run_of(tmp_path / "run", MEANS | {"steering_delay.time": (8.5, 0.01, "s")})  # priors end at 9
+    text = texts(tmp_path / "run", "autoware")["mpc.param.yaml"]
+    assert "ON THE EDGE OF ITS PRIOR: steering_delay.time" in line_of(text, "input_delay:")
+    assert "EDGE" not in line_of(text, "cf:")
+
+
+def test_what_no_effect_stands_for_is_told_as_a_size(tmp_path: Path) -> None:
+    law = {"target": "force along y", "size": numbers(210.0, 20.0, "N")}
+    diagnosis_of(tmp_path / "diagnosis", unknown={"laws": [law], "beyond_prior": []})
+    text = texts(tmp_path / "diagnosis", "autoware")["mpc.param.yaml"]
+    assert "No known effect stands for: force along y of 2.1e+02 N (root mean square)." in comments(text)

@@ -6,10 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from test_plausibility import RATE, RECORDINGS, drive, healthy
+from test_plausibility import RATE, RECORDINGS, drive, healthy, recording
 
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.inspection.contents import Column, contents
+from vehicle_sbi.data.inspection.excitation import ONE_SIDED, excitation
 from vehicle_sbi.data.inspection.guess import guess
 from vehicle_sbi.data.inspection.inspection import Inspection, inspect
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
@@ -242,3 +243,37 @@ def test_real_files_are_mapped_by_their_names_and_contradict_nothing(file: str, 
     assert len(found.channels) == channels
     assert found.wrong == ()
     assert found.unread is None
+
+
+def turned(*, right: float, peak: float, spread: float) -> dict[str, np.ndarray]:
+    """Bends to both sides, those to the right with a part of the acceleration [g], at a speed of 15 m/s that swings."""
+    t = np.arange(4000) / RATE
+    bends = np.sin(t)
+    a_y = 9.81 * peak * np.where(bends > 0.0, bends, right * bends)
+    v_x = 15.0 * (1.0 + spread * np.sqrt(2.0) * np.sin(0.3 * t))
+    return {"steering": 0.01 * bends, "v_x": v_x, "a_y": a_y, "yaw_rate": a_y / v_x}
+
+
+@pytest.mark.parametrize(
+    ("drive", "said"),
+    [
+        ({"right": 1.0, "peak": 0.6, "spread": 0.5}, []),
+        ({"right": 1.0, "peak": 0.2, "spread": 0.5}, ["gentle, up to 0.20 g"]),
+        ({"right": 0.1, "peak": 0.6, "spread": 0.5}, ["91% of the turning is to the left"]),
+        ({"right": 1.0, "peak": 0.6, "spread": 0.05}, ["nearly one speed"]),
+    ],
+)
+def test_what_a_drive_is_too_gentle_or_too_uniform_for_is_said(drive: dict[str, float], said: list[str]) -> None:
+    channels = turned(**drive)
+    first, *rest = excitation(recording(channels))
+    assert first.startswith(f"lateral acceleration from -{drive['right'] * drive['peak']:.2f} to {drive['peak']:.2f} g")
+    assert [line.startswith(begun) for line, begun in zip(rest, said, strict=True)] == [True] * len(said)
+    assert excitation(recording({**channels, "a_y": np.full(4000, np.nan)})) == excitation(recording(channels))
+
+
+def test_the_other_side_is_named_where_the_drive_turns_to_the_right() -> None:
+    mirrored = {
+        name: -x if name in ("a_y", "yaw_rate") else x for name, x in turned(right=0.1, peak=0.6, spread=0.5).items()
+    }
+    assert any(line.startswith("91% of the turning is to the right") for line in excitation(recording(mirrored)))
+    assert 0.5 < ONE_SIDED < 0.91

@@ -24,6 +24,7 @@ from vehicle_sbi.inference.rounds import (
     Round,
     Scheme,
     Truncated,
+    disagreements,
     infer,
     one_round,
     posterior_of,
@@ -257,3 +258,26 @@ def test_truncated_rounds_reach_the_bound(tmp_path: Path) -> None:
     assert (samples.std(axis=0) / bound < 1.35).all()
     assert (samples.std(axis=0) / bound > 0.8).all()
     assert (np.abs(samples.mean(axis=0) - fit) / bound < 0.5).all()
+
+
+def test_a_recording_unlike_all_simulations_is_told_once_and_while_rounds_go_on(tmp_path: Path) -> None:
+    study, said = problem(Handcrafted()), list[str]()
+    unlike = replace(study, observed=20.0 * study.observed)
+    infer(unlike, Truncated(rounds=2, simulations=60), Checkpoints(tmp_path / "a"), quiet=True, warn=said.extend)
+    assert len(said) == 1
+    assert said[0].startswith("round 1 of 2: the recording lies outside what was simulated")
+    infer(study, Truncated(rounds=2, simulations=60), Checkpoints(tmp_path / "b"), quiet=True, warn=said.extend)
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize(("moved", "told"), [(0.5, []), (5.0, ["l_f"])])
+def test_rounds_whose_means_lie_far_apart_are_said_to_disagree(
+    monkeypatch: pytest.MonkeyPatch, moved: float, told: list[str]
+) -> None:
+    rng, space = np.random.default_rng(0), simulator().space
+    means = iter([np.zeros(len(space)), np.array([moved, 0.0, 0.0])])
+    monkeypatch.setattr("vehicle_sbi.inference.rounds.draw", lambda *_: next(means) + rng.standard_normal((2000, 3)))
+    both: Any = ("before", "last")
+    found = disagreements(Inference((), both), space)
+    assert [name for name, _ in found] == told
+    assert all(abs(far - moved) < 0.2 for _, far in found)  # 0.03 each from the mean and the deviation of 2000 draws

@@ -27,15 +27,14 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference import features, rounds
 from vehicle_sbi.inference.information import STEP, fisher, sensitivity
 from vehicle_sbi.inference.informative import (
-    COSTLY,
     MOST_DERIVATIVES,
     Chosen,
     affordable,
     chosen,
     informations,
     most_informative,
-    steps_each,
 )
+from vehicle_sbi.inference.setup import substeps
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.study import MOST_READINGS
 from vehicle_sbi.physics.effects import nominal_record
@@ -152,16 +151,22 @@ def test_the_liveliest_windows_are_chosen_in_the_order_of_time() -> None:
     assert (found.wider < 1.05).all()
 
 
-def test_a_window_that_crawls_is_not_chosen_as_all_would_be_integrated_in_its_steps() -> None:
-    sim = in_parts(4, steered=[1.0, 1.0, 1.0, 0.9])
+def test_each_window_is_integrated_in_the_steps_that_its_own_lowest_speed_needs() -> None:
+    sim = in_parts(4)
     u = sim.windows.u.copy()
     u[1, :, INPUTS.index("v_x")] = 1.2  # a tenth of the others' speed, at which rigid tyres are ten times as quick
-    crawling = replace(sim, nominal=nominal_record(RIGID), windows=replace(sim.windows, u=u))
-    steps = steps_each(crawling)
-    assert steps[1] > COSTLY * steps[0]
+    x0 = sim.windows.x0.copy()
+    x0[1, 0] = 1.2
+    crawling = replace(sim, nominal=nominal_record(RIGID), windows=replace(sim.windows, u=u, x0=x0))
+    crawling = replace(crawling, substeps=substeps(crawling))
+    steps = crawling.substeps
+    assert isinstance(steps, np.ndarray)
+    assert steps[1] > 5 * steps[0]
     assert (np.delete(steps, 1) == steps[0]).all()
-    assert chosen(crawling, 3).which.tolist() == [0, 2, 3]
-    assert chosen(crawling, 4).which.tolist() == [0, 1, 2, 3]
+    y, fine = (one.noise_free(MIDDLE[None])[0] for one in (crawling, replace(crawling, substeps=10 * steps)))
+    np.testing.assert_allclose(y, fine, atol=1e-3 * np.abs(fine).max())
+    alone = [crawling.only(np.array([w])).noise_free(MIDDLE[None])[0] for w in range(4)]
+    np.testing.assert_array_equal(np.concatenate(alone, axis=1), y)
 
 
 @given(seed=st.integers(0, 2**32 - 1), windows=st.integers(2, 7), count=st.integers(1, 5))

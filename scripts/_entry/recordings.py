@@ -65,6 +65,6 @@ def _vehicle(configuration: DictConfig) -> str | None:
 
 
 def warn(lines: Iterable[str]) -> None:
-    """Print what recordings contradict, before anything is fitted."""
+    """Print what recordings contradict, as soon as it is known."""
     for line in lines:
         print(f"warning: {line}", file=sys.stderr)

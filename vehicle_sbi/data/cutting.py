@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from vehicle_sbi.data.channels import CHANNELS, NEEDED
 from vehicle_sbi.data.recording import Recording
-from vehicle_sbi.data.smoothing import smoothed, unheld
+from vehicle_sbi.data.smoothing import denoised, smoothed, unheld
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.physics.single_track import INPUTS
@@ -91,11 +91,11 @@ def _inputs(recording: Recording, drive: str, steering_ratio: float | None) -> d
         inputs["torque_rear"] = recording.channels.get("torque_rear", np.zeros_like(recording.t))
     else:
         for name in NEEDED[drive]:
-            smooth = smoothed(inputs[name], recording.rate, recording.source)
+            smooth = smoothed(inputs[name], recording.rate, f"{recording.source}: {name}")
             if name == "v_x":  # of the speed that drives the model: that of the measured one is rough
                 inputs["v_x_dot"] = smoothed(smooth, recording.rate, recording.source, derivative=1)
             inputs[name] = np.where(np.isfinite(inputs[name]), smooth, np.nan)
-    inputs["steering"] = unheld(_steering(recording, drive, steering_ratio))
+    inputs["steering"] = denoised(unheld(_steering(recording, drive, steering_ratio)))
     return inputs
 
 

@@ -11,19 +11,17 @@ F_w is taken at the prior's centre, from what drives the car, where each window 
 car answered has no part in it, so that choosing does not bias what is inferred.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.information import fisher
-from vehicle_sbi.inference.setup import speeds, substeps
 from vehicle_sbi.inference.simulator import Simulator
 
 MOST_DERIVATIVES = 2**24  # readings times parameters and initial states, which a fit holds in memory several times
-COSTLY = 2.0  # times the usual steps of the integrator, beyond which a window that crawls is not worth its cost
 
 
 @dataclass(frozen=True)
@@ -55,34 +53,18 @@ def affordable(windows: int, most_readings: int, *, readings: int, states: int, 
 
 
 def chosen(simulator: Simulator, count: int) -> Chosen:
-    """So many windows of those of a simulator, as far as possible none that would make all of them costly: every window
-    is integrated in the steps of the slowest one."""
+    """So many windows of those of a simulator."""
     spread = simulator.space.prior_std
     each = informations(simulator, (simulator.space.low + simulator.space.high) / 2) * np.outer(spread, spread)
-    quick = np.flatnonzero(_quick(steps_each(simulator), count))
-    which = quick[most_informative(each[quick], count)]
+    which = most_informative(each, count)
     std = [np.sqrt(np.diag(np.linalg.inv(np.eye(len(spread)) + F.sum(axis=0)))) for F in (each[which], each)]
     return Chosen(which, std[0] / std[1])
 
 
-def steps_each(simulator: Simulator) -> Int[np.ndarray, " windows"]:
-    """Steps of the integrator a sample that each window takes by itself."""
-    v_min = np.nan_to_num(speeds(simulator).min(axis=1), nan=1.0)
-    slowest_first, of = np.unique(v_min, return_inverse=True)
-    return np.array(substeps(simulator, slowest_first.tolist()))[of]
-
-
-def _quick(steps: Int[np.ndarray, " windows"], count: int) -> Bool[np.ndarray, " windows"]:
-    """Windows that take at most COSTLY times the steps of a usual one, or as many as `count` of them do if that is
-    more."""
-    return steps <= max(COSTLY * np.median(steps), np.sort(steps)[count - 1])
-
-
 def informations(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, "windows d d"]:
     """Of each window about theta, one after another; nothing in a window in which the simulation fails."""
-    windows = simulator.windows
-    every = tqdm(range(len(windows.t)), desc="what windows tell", disable=None, leave=False)
-    each = (replace(simulator, windows=windows.only(np.array([w]))) for w in every)
+    every = tqdm(range(len(simulator.windows.t)), desc="what windows tell", disable=None, leave=False)
+    each = (simulator.only(np.array([w])) for w in every)
     found = np.array([fisher(one, theta) for one in each])
     return np.where(np.isfinite(found).all(axis=(1, 2), keepdims=True), found, 0.0)
 

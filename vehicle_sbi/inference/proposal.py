@@ -187,8 +187,9 @@ def _spread(space: ParameterSpace, supports: Sequence[Region], rng: np.random.Ge
     draws, density = draws[kept], density[kept]
     if len(draws) < LEAST_SHARED:
         raise InputError(
-            f"only {len(draws)} of {SUPPORT_SAMPLES} draws lie in the supports of all rounds: they contradict each "
-            "other; use more simulations a round"
+            f"rounds contradict each other: only {len(draws)} of {SUPPORT_SAMPLES} draws of the last one lie where the "
+            "fit and the rounds before leave the parameters. The recording is unlike the simulations, or too few "
+            "taught the network: see what `diagnose` names, check stated constants, or use more rounds.simulations"
         )
     weight = np.exp(density.min() - density)
     return draws[rng.choice(len(draws), WALKERS, replace=len(draws) < WALKERS, p=weight / weight.sum())]

@@ -7,7 +7,7 @@ same inputs. Each round is a pure function of the rounds before it and the study
 done, so an interrupted study that starts again ends where an uninterrupted one does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,6 +32,7 @@ from vehicle_sbi.inference.information import Laplace, laplace
 from vehicle_sbi.inference.proposal import Neighbourhood, Support, acceptance, box, draw, inside, truncated_prior
 from vehicle_sbi.inference.simulator import Simulator, succeeded
 from vehicle_sbi.inference.training import EpochSeen, Fit, Simulations, Training, fit
+from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.rng import Stream, generator, seed_torch
 
 CHUNK = 500  # simulations whose series are in memory at once, if they are short
@@ -43,6 +44,9 @@ LEAST_ACCEPTANCE = 1e-3
 LEAST_SIMULATIONS = 50
 QUANTILE_ROWS = 2_000  # simulations that tell a feature's range
 TAIL = 0.01  # of them at either end of it that it leaves out
+EXTRAPOLATED = 1.5  # surprise from which the recording counts as unlike the simulations
+COMPARED = 2_000  # draws of two rounds' posteriors, that say whether they agree
+DISAGREEING = 3.0  # standard deviations of the round before, by which a mean that moves contradicts it
 
 
 @dataclass(frozen=True)
@@ -308,15 +312,46 @@ def posterior_of(problem: Problem, round: Round) -> NeuralPosterior:
     return members[0] if len(members) == 1 else EnsemblePosterior(members).set_default_x(round.x_o)
 
 
-def infer(problem: Problem, scheme: Scheme, checkpoints: Checkpoints, *, quiet: bool = False) -> Inference:
-    """Run all rounds, each taken from its checkpoint where there is one."""
+def infer(
+    problem: Problem,
+    scheme: Scheme,
+    checkpoints: Checkpoints,
+    *,
+    quiet: bool = False,
+    warn: Callable[[Sequence[str]], None] = lambda lines: None,
+) -> Inference:
+    """Run all rounds, each taken from its checkpoint where there is one; `warn` is told as soon as the recording proves
+    to be unlike what is simulated."""
+    warned = False
     done = Inference((), ())
     for k in range(scheme.rounds):
         name = f"rounds/round_{k}.pt"
         path = checkpoints.kept(name) or one_round(problem, scheme, done, quiet=quiet).save(checkpoints, name)
         finished = Round.load(path)
         done = Inference((*done.rounds, finished), (*done.posteriors, posterior_of(problem, finished)))
+        if finished.surprise > EXTRAPOLATED and not warned:
+            warn([f"round {k + 1} of {scheme.rounds}: {unlike(finished)}"])
+            warned = True
     return done
+
+
+def unlike(round: Round) -> str:
+    """How far the recording lies outside of what a round simulated, in a sentence."""
+    return (
+        f"the recording lies outside what was simulated ({round.surprise:.1f} times the half width of a feature's "
+        "range): the network extrapolates. Steering, speed or a stated constant may be wrong, or the model lacks "
+        "something: `diagnose` says what."
+    )
+
+
+def disagreements(inference: Inference, space: ParameterSpace) -> list[tuple[str, float]]:
+    """Parameters whose posterior mean the last round moved too far, and how far in standard deviations of the round
+    before: where both are right, a later posterior lies within the earlier one."""
+    if len(inference.posteriors) < 2:
+        return []
+    before, last = (draw(posterior, space, COMPARED) for posterior in inference.posteriors[-2:])
+    moved = np.abs(last.mean(axis=0) - before.mean(axis=0)) / before.std(axis=0)
+    return [(name, float(far)) for name, far in zip(space.names, moved, strict=True) if far > DISAGREEING]
 
 
 def fiducial_point(problem: Problem, before: Inference) -> Float[np.ndarray, " d"]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from vehicle_sbi.data.cutting import cut
@@ -30,6 +30,7 @@ FIRST_SUBSTEPS = 4  # before the slowest speed is known, which decides their num
 CORNERS = 7  # from which the fastest mode in the prior is sought, beside its centre
 STARTS = 3  # of the fit under which noise is estimated
 NOISE_ROUNDS = 8  # of fit and estimate at most
+CRAWL = 1.0  # [m/s], where the speed is not known because the simulation fails
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +111,7 @@ class Setup:
             substeps=FIRST_SUBSTEPS,
             seed=self.seed,
         )
-        return replace(simulator, substeps=substeps(simulator, [slowest(simulator)], stiffest)[0])
+        return replace(simulator, substeps=substeps(simulator, stiffest))
 
     def _nominal(self, space: ParameterSpace, duration: float) -> np.void:
         """The vehicle's constants; one that is neither stated nor free, as nothing recorded depends on it, as of a
@@ -127,17 +128,28 @@ def speeds(simulator: Simulator) -> Float[np.ndarray, "windows time"]:
     return probe.noise_free((space.low + space.high)[None] / 2).reshape(simulator.windows.t.shape)
 
 
-def slowest(simulator: Simulator) -> float:
-    """The lowest speed [m/s] at the prior's centre, which has the fastest modes."""
+def slowest(simulator: Simulator) -> Float[np.ndarray, " windows"]:
+    """The lowest speed [m/s] of each window at the prior's centre, which has the fastest modes."""
     v_x = speeds(simulator)
-    return float(np.nanmin(v_x)) if np.isfinite(v_x).any() else 1.0
+    lowest = np.where(np.isfinite(v_x), v_x, np.inf).min(axis=1)
+    return np.where(np.isfinite(lowest), lowest, CRAWL)
 
 
-def substeps(simulator: Simulator, v_min: Sequence[float], stiffest: float = 1.0) -> list[int]:
-    """Steps of the integrator a sample at each of some lowest speeds [m/s], enough in all of the prior at the first."""
-    records = simulator.space.records(_fastest_corners(simulator, v_min[0]), simulator.nominal)
-    rate, model = simulator.windows.rate, simulator.model
-    return [substeps_for(records, simulator.drive, v, rate, limit=stiffest, model=model) for v in v_min]
+def substeps(simulator: Simulator, stiffest: float = 1.0) -> Int[np.ndarray, " windows"]:
+    """Steps of the integrator a sample in each window: as many as its lowest speed needs in all of the prior."""
+    v_min = slowest(simulator)
+    corners = [_fastest_corners(simulator, float(v)) for v in (v_min.min(), v_min.max())]
+    return steps_at(simulator, np.concatenate(corners), v_min, stiffest)
+
+
+def steps_at(
+    simulator: Simulator, theta: Float[np.ndarray, "n d"], v_min: Float[np.ndarray, " windows"], limit: float
+) -> Int[np.ndarray, " windows"]:
+    """Steps of the integrator a sample at the lowest speed [m/s] of each window, enough for some parameters."""
+    records, rate = simulator.space.records(theta, simulator.nominal), simulator.windows.rate
+    levels, of = np.unique(v_min, return_inverse=True)
+    steps = [substeps_for(records, simulator.drive, v, rate, limit=limit, model=simulator.model) for v in levels]
+    return np.array(steps)[of]
 
 
 def _fastest_corners(simulator: Simulator, v_min: float) -> Float[np.ndarray, "starts d"]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numba
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numba.core import config
 
 from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise
@@ -67,7 +67,7 @@ class Simulator:
     process: DrawnProcessNoise
     noise: MeasurementNoise
     uniform_start: bool
-    substeps: int
+    substeps: int | Int[np.ndarray, " windows"]  # of the integrator a sample, in all windows or in each
     seed: int
     plausible: SpikeAndSlab = field(default_factory=SpikeAndSlab)
 
@@ -75,6 +75,11 @@ class Simulator:
     def alone(self) -> "Simulator":
         """The same without plausible effects."""
         return replace(self, plausible=SpikeAndSlab())
+
+    def only(self, which: Int[np.ndarray, " k"]) -> "Simulator":
+        """With some of its windows alone."""
+        steps = np.full(len(self.windows.u), self.substeps)
+        return replace(self, windows=self.windows.only(which), substeps=steps[which])
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -147,7 +152,7 @@ class Simulator:
             draws.stiffness,
             draws.inputs,
             self.windows.rate,
-            self.substeps,
+            np.full(len(self.windows.u), self.substeps),
             draws.initial,
             np.array([MEASUREMENTS.index(name) for name in self.windows.channels]),
             np.array([GROUPS.index(name) for name in self.windows.groups]),

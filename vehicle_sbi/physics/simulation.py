@@ -170,7 +170,7 @@ def simulate(
     stiffness_noise,
     input_noise,
     rate: float,
-    substeps: int,
+    substeps,
     initial,
     channels,
     groups,
@@ -178,8 +178,8 @@ def simulate(
 ):
     """One simulation over all windows: fill y (channels, windows * time), NaN if it fails; returns its outcome.
 
-    u (windows, time, 9), initial (windows, 3), channels and groups index MEASUREMENTS and GROUPS, `speed_group` is the
-    group of the speeds that drive the model.
+    u (windows, time, 9), substeps (windows,), initial (windows, 3), channels and groups index MEASUREMENTS and GROUPS,
+    `speed_group` is the group of the speeds that drive the model.
     """
     windows, time = u.shape[0], u.shape[1]
     motion, reading = np.empty((time, len(MOTION))), np.empty((len(MEASUREMENTS), time))
@@ -188,7 +188,7 @@ def simulate(
     for w in range(windows):
         actuate(p, u[w], input_noise, rate, acting)
         measured_speeds(p, drive, speed_group, u[w], rate, acting)
-        outcome = drive_through(model, p, drive, acting, stiffness_noise, 1.0 / rate, substeps, initial[w], motion)
+        outcome = drive_through(model, p, drive, acting, stiffness_noise, 1.0 / rate, substeps[w], initial[w], motion)
         if outcome != FINISHED:
             fail(y)
             return outcome
@@ -206,7 +206,8 @@ def simulate(
 def batch_simulator(model: str) -> Callable[..., None]:
     """Simulations of one of MODELS in parallel, compiled when first called: a function of records (n,), the drive mode,
     the group of its speeds, u (windows, time, 9), stiffness_noise (n, draws, 4), input_noise (n, draws, 2), rate [Hz],
-    substeps, initial (n, windows, 3), channels, groups, that fills y (n, channels, windows * time), outcomes (n,)."""
+    substeps (windows,), initial (n, windows, 3), channels, groups, that fills y (n, channels, windows * time) and
+    outcomes (n,)."""
     equations = MODELS[model]
 
     @njit(cache=True, error_model="numpy", parallel=True)

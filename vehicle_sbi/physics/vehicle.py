@@ -37,7 +37,7 @@ MEANINGS: Mapping[str, str] = {
     "I_wr": "inertia of the rear wheels and what turns with them",
     "drive_front": "share of the drive torque on the front axle: 1 front, 0 rear",
     "brake_front": "share of the brake torque on the front axle",
-    "imu_x": "IMU ahead of the rear axle; null: at the centre of gravity",
+    "imu_x": "IMU ahead of the rear axle; null: at the centre of gravity; effects=[imu_lever_arm] frees it",
     "imu_y": "IMU left of the middle",
     "imu_z": "IMU above the ground",
     "track_f": "front track",

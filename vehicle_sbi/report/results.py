@@ -14,22 +14,21 @@ from vehicle_sbi.inference.information import bound_std, confusable, fisher
 from vehicle_sbi.inference.predictive import Predictive, predictive
 from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.reweighting import posterior_draws
-from vehicle_sbi.inference.rounds import Inference
+from vehicle_sbi.inference.rounds import EXTRAPOLATED, Inference, disagreements, unlike
 from vehicle_sbi.inference.simulator import STIFFNESSES
 from vehicle_sbi.inference.study import Prepared
+from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.figures import contraction_bars, losses, pairplot
 from vehicle_sbi.report.figures import predictive as predictive_figure
 from vehicle_sbi.report.page.page import write_page
 from vehicle_sbi.report.page.run import page_of
 from vehicle_sbi.report.run_folder import RunFolder
-from vehicle_sbi.report.tables import nominal_table, posterior_table, terminal, write_tables
+from vehicle_sbi.report.tables import nominal_table, on_edge, posterior_table, terminal, write_tables
 from vehicle_sbi.rng import Stream, seed_torch
 
 LEAKING = 0.5  # acceptance below which the last round is warned about
-EXTRAPOLATED = 1.5  # surprise from which the recording counts as unlike the simulations
 LEARNABLE = 0.1  # of the prior's width, a bound below which a parameter ought to have been identified
-EDGE = 0.05  # of the prior's width, within which a median counts as lying on its edge
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, sampl
         origin = netcdf.Origin.of_folder(folder, prepared.name)
         netcdf.write(folder.path / netcdf.FILE, netcdf.of_run(prepared, found.samples, found.predicted, origin))
         notes = [*round_notes(inference), *filter(None, [found.reweighted])]
-        warnings = [*prepared.warnings, *round_warnings(inference, found.table)]
+        warnings = [*prepared.warnings, *round_warnings(inference, found.table, prepared.problem.simulator.space)]
         notes += [f"Hardly told apart: {a} and {b}: correlation {r:.2f}." for a, b, r in found.confusable]
         told = [*notes, *found.predicted.sentences(), *prepared.notes]
         folder.record(**facts(inference), notes=told, warnings=warnings)
@@ -177,15 +176,19 @@ def round_notes(inference: Inference) -> list[str]:
     ]
 
 
-def round_warnings(inference: Inference, table: pd.DataFrame) -> list[str]:
-    """What a reader must know before trusting the table: leakage, a recording unlike any simulation, prior edges."""
+def round_warnings(inference: Inference, table: pd.DataFrame, space: ParameterSpace) -> list[str]:
+    """What a reader must know before trusting the table: leakage, a recording unlike any simulation, rounds that
+    disagree, prior edges."""
     last, warnings = inference.rounds[-1], []
     if last.acceptance < LEAKING:
         warnings.append(f"The last round leaks: only {last.acceptance:.0%} of its density lies inside the prior.")
     if last.surprise > EXTRAPOLATED:
+        warnings.append(f"Last round: {unlike(last)}")
+    moved = [f"{name} by {far:.1f}" for name, far in disagreements(inference, space)]
+    if moved:
         warnings.append(
-            f"The recording lies outside what the last round simulated ({last.surprise:.1f} times the half width of a "
-            "feature's range): the network extrapolates, and the model lacks something that the recording shows."
+            f"The last two rounds disagree: the mean moved of {', '.join(moved)} standard deviations of the round "
+            "before. Use more simulations a round, and look for what the model lacks."
         )
     for row in table.to_dict("records"):
         name, width = row["parameter"], row["prior_high"] - row["prior_low"]
@@ -194,7 +197,7 @@ def round_warnings(inference: Inference, table: pd.DataFrame) -> list[str]:
                 f"{name}: the recording tells it to {row['bound_std']:.2g} {row['unit']}, but this run has not learned "
                 "it; it needs more simulations or other features."
             )
-        if row["identified"] and min(row["q50"] - row["prior_low"], row["prior_high"] - row["q50"]) < EDGE * width:
+        if row["identified"] and on_edge(row["q50"], row["prior_low"], row["prior_high"]):
             warnings.append(
                 f"{name} lies on the edge of its prior: widen the prior, or look for physics that the model lacks and "
                 "this parameter makes up for."

@@ -32,6 +32,7 @@ NOT_IDENTIFIED = "not identified by this recording"
 # The contraction of an untouched uniform prior scatters by 0.03 over 1000 samples, so chance does not reach it, and an
 # estimator that is merely a little too narrow does not either.
 IDENTIFIED_CONTRACTION = 0.25
+EDGE = 0.05  # of the prior's width, within which a median counts as lying on its edge
 SCREEN_WIDTH = 110
 LEGEND = (
     "bound: Cramér-Rao bound of the standard deviation, which knows no prior: where that helps, a posterior may be "
@@ -39,6 +40,11 @@ LEGEND = (
 )
 
 _GREEK = ("alpha", "beta", "gamma", "delta", "kappa", "lambda", "mu", "omega", "psi", "rho", "sigma", "tau", "zeta")
+
+
+def on_edge(value: float, low: float, high: float) -> bool:
+    """Whether a posterior's middle lies on the edge of a prior from low to high."""
+    return min(value - low, high - value) < EDGE * (high - low)
 
 
 def posterior_table(

@@ -23,6 +23,7 @@ TOLD: Mapping[str, frozenset[str]] = MappingProxyType(
 OPPOSITE: Mapping[str, str] = MappingProxyType(
     {"a_y": "v_x times yaw_rate", "a_x": "dv_x/dt", "steering": "yaw_rate", "steering_wheel": "yaw_rate"}
 )
+EITHER = " Give either sign: -1; a car is symmetric."
 COURSES: Mapping[str, str] = MappingProxyType({"turning": "v_x times yaw_rate", "gaining": "dv_x/dt"})
 
 
@@ -51,7 +52,7 @@ def flipped(drive: Drive) -> Iterator[Finding]:
             (suspects or [name])[0],
             "sign",
             f"{name} has the opposite sign of {OPPOSITE[name]} (correlation {signs[name]:.2f}): "
-            f"is {likely}{also} flipped?",
+            f"is {likely}{also} flipped?{EITHER if also else ''}",
         )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from vehicle_sbi.data.channels import NEEDED
 from vehicle_sbi.data.checks.drive import STEERINGS
 from vehicle_sbi.data.inspection.contents import Contents, contents
+from vehicle_sbi.data.inspection.excitation import excitation
 from vehicle_sbi.data.inspection.guess import Guess, guess
 from vehicle_sbi.data.mapping import mapping_file
 from vehicle_sbi.data.readers import RecordingFile
@@ -16,13 +17,15 @@ from vehicle_sbi.errors import InputError
 
 @dataclass(frozen=True, kw_only=True)
 class Inspection:
-    """What was found: `guesses` is empty for a mapping that was given; `unread` says why the drive cannot be read."""
+    """What was found: `guesses` is empty for a mapping that was given; `lively` says what the drive can tell at most,
+    `unread` why it cannot be read."""
 
     path: Path
     tables: tuple[Contents, ...]
     given: bool
     guesses: tuple[Guess, ...]
     channels: tuple[str, ...]
+    lively: tuple[str, ...]
     wrong: tuple[str, ...]
     notes: tuple[str, ...]
     unread: str | None
@@ -46,13 +49,14 @@ def inspect(recording: RecordingFile) -> Inspection:
     given = bool(recording.mapping)
     guesses = () if given else guess([column for table in tables for column in table.columns])
     asked = recording if given else replace(recording, mapping=mapping_of(guesses), **_times(recording, tables[0]))
-    channels, wrong, notes, unread = _read(asked)
+    channels, lively, wrong, notes, unread = _read(asked)
     return Inspection(
         path=path,
         tables=tables,
         given=given,
         guesses=guesses,
         channels=channels,
+        lively=lively,
         wrong=wrong,
         notes=notes,
         unread=unread,
@@ -83,13 +87,16 @@ def time_settings(table: Contents) -> dict[str, str]:
     return name | ({} if clock.time_unit == "s" else {"time_unit": clock.time_unit})
 
 
-def _read(recording: RecordingFile) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], str | None]:
-    """The drive's channels, what it contradicts, what was done to it as it was read, and why it cannot be read."""
+def _read(
+    recording: RecordingFile,
+) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], tuple[str, ...], str | None]:
+    """The drive's channels, how lively it is, what it contradicts, what was done to it as it was read, and why it
+    cannot be read."""
     if not recording.mapping:
-        return (), (), (), "no column is recognised as a channel"
+        return (), (), (), (), "no column is recognised as a channel"
     try:
         drive = recording.load()
     except InputError as error:
         mapped = recording.mapping if isinstance(recording.mapping, Mapping) else mapping_file(Path(recording.mapping))
-        return tuple(map(str, mapped)), (), (), str(error)
-    return tuple(drive.channels), drive.warnings, drive.notes, None
+        return tuple(map(str, mapped)), (), (), (), str(error)
+    return tuple(drive.channels), excitation(drive), drive.warnings, drive.notes, None

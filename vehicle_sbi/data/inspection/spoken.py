@@ -14,7 +14,7 @@ LONGEST = 32  # characters of a column's name
 
 def spoken(inspection: Inspection) -> str:
     """The whole of it but the next command."""
-    parts = [_contents(inspection), _mapping(inspection), _wrong(inspection)]
+    parts = [_contents(inspection), _mapping(inspection), _lively(inspection), _wrong(inspection)]
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
 
 
@@ -97,6 +97,10 @@ def _also(one: Guess) -> str:
     others: Sequence[str] = [f"or {', '.join(one.alternatives)}"] if one.alternatives else []
     radius = ["needs the wheel's radius"] if one.needs_radius else []
     return "".join(f"; {text}" for text in (*others, *radius))
+
+
+def _lively(inspection: Inspection) -> list[str]:
+    return ["how lively the drive is", *(f"  {line}" for line in inspection.lively)] if inspection.lively else []
 
 
 def _wrong(inspection: Inspection) -> list[str]:

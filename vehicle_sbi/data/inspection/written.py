@@ -26,6 +26,7 @@ UNITS = {
     **dict.fromkeys(("steering_ratio", "drive_front", "brake_front"), "1"),
 }
 USUAL = {"drive_front": "1.0", "brake_front": "0.6", "C_vert": ".inf", "K": ".inf"}
+ASSUMED = "assumed unless you change them: drive_front 1.0 (front-wheel drive), brake_front 0.6"
 
 
 def write(inspection: Inspection, folder: Path, *, overwrite: bool = False) -> tuple[Path, Path]:
@@ -62,7 +63,8 @@ def mapping_text(inspection: Inspection) -> str:
         [
             f"# Which column of {inspection.path.name} holds which channel, as its names suggest: check each line.",
             "# value = sign (scale unit(column) + offset), the offset in SI; group: imu, can or wheel_speed.",
-            "# Signs are ISO 8855: x forward, y left, z up; steering and yaw rate positive to the left.",
+            "# Signs are ISO 8855: x forward, y left, z up. In a left turn steering, yaw rate and a_y are positive;",
+            "# sign: -1 turns a channel that is not.",
             *map(_line, inspection.guesses),
             f"# not recognised: {', '.join(absent)}",
             "",

@@ -112,12 +112,12 @@ def _walking(simulator: Simulator) -> Simulator:
     u[..., SPEED], u[..., WHEELS] = WALKING, WALKING / simulator.nominal["R_f"]
     x0 = np.tile([WALKING, 0.0, 0.0], (len(u), 1))
     slow = replace(simulator, windows=replace(simulator.windows, u=u, x0=x0))
-    return _finer(slow, WALKING / float(simulator.windows.x0[:, 0].min()))
+    return _finer(slow, WALKING / simulator.windows.x0[:, 0])
 
 
-def _finer(simulator: Simulator, factor: float) -> Simulator:
+def _finer(simulator: Simulator, factor: float | Float[np.ndarray, " windows"]) -> Simulator:
     """With steps that are short enough at so many times the speed: the fastest modes are quicker, the slower it is."""
-    return replace(simulator, substeps=int(np.ceil(simulator.substeps / min(factor, 1.0))))
+    return replace(simulator, substeps=np.ceil(simulator.substeps / np.minimum(factor, 1.0)).astype(int))
 
 
 STEERED: Mapping[str, Change] = {

@@ -21,7 +21,7 @@ def elsewhere(fit: Fit, observation: Observation, *, apart: bool) -> Fit:
     absent = np.array([apart and _timed(p) for p in space.parameters])
     theta = np.array([null(p) if gone else x for p, x, gone in zip(space.parameters, fit.theta, absent, strict=True)])
     noise = replace(fit.simulator.noise, window=simulator.windows.t.shape[1])
-    simulator = replace(simulator, space=space, noise=noise, substeps=max(simulator.substeps, fit.simulator.substeps))
+    simulator = replace(simulator, space=space, noise=noise)
     at = linearise(simulator, theta)
     return Fit(observation.extended(simulator), theta, replace(at, J=np.where(absent[:, None, None], 0.0, at.J)))
 

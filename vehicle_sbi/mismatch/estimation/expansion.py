@@ -10,15 +10,14 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from vehicle_sbi.inference.directions import Direction, null
 from vehicle_sbi.inference.effect_prior import EffectPrior
-from vehicle_sbi.inference.setup import slowest
+from vehicle_sbi.inference.setup import slowest, steps_at
 from vehicle_sbi.mismatch.estimation.fit import DAMPING, Fit, Shrinkage, descend, relinearised, with_own_noise
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter, ParameterSpace
-from vehicle_sbi.physics.simulation import substeps_for
 
 WIDER = 1.5  # typical sizes by which effects are shrunk at first, before anything is known of which are there
 STEPS, NOISE_ROUNDS, NOISE_STEPS = 16, 2, 8  # of Gauss-Newton, of fit and noise, and of Gauss-Newton within those
@@ -97,7 +96,7 @@ class Expansion:
     def observed(self, base: Fit) -> Observation:
         """What the base model was fitted to, with all of this free, in steps as long as the fit allows."""
         simulator = base.simulator
-        lighter = replace(simulator, substeps=min(simulator.substeps, _substeps(base)))
+        lighter = replace(simulator, substeps=np.minimum(simulator.substeps, _substeps(base)))
         return base.observation.extended(lighter).freeing(self.space.parameters)
 
     def fitted(
@@ -133,15 +132,12 @@ def _log_posterior(fit: Fit) -> float:
     return fit.log_likelihood - float(pulled)
 
 
-def _substeps(fit: Fit) -> int:
+def _substeps(fit: Fit) -> Int[np.ndarray, " windows"]:
     """Of the integrator, for stiffnesses a little above those that were fitted."""
     simulator, space = fit.simulator, fit.simulator.space
     stiff = np.array([p.name.startswith("C_") for p in space.parameters])
     theta = np.clip(np.where(stiff, STIFFER, 1.0) * fit.theta, space.low, space.high)
-    records = space.records(theta[None], simulator.nominal)
-    return substeps_for(
-        records, simulator.drive, slowest(simulator), simulator.windows.rate, limit=STABLE, model=simulator.model
-    )
+    return steps_at(simulator, theta[None], slowest(simulator), STABLE)
 
 
 def _middle(p: Parameter) -> float:

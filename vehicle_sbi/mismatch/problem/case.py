@@ -87,7 +87,7 @@ class Diagnosis(Setup):
             clock = _shared_clock(parts, others)
         check_alike([*parts, *others], [part.recordings[0] for part in (*parts, *others)])
         observation = cut.observe(space, parts, clock[0])
-        held_out = cut.observe(space, others, clock[1], like=observation)
+        held_out = cut.observe(space, others, clock[1])
         if not self.heldout:
             held_out = held_out.extended(replace(held_out.simulator, nominal=observation.simulator.nominal))
         naming, proving = halves(held_out)
@@ -174,16 +174,12 @@ class Diagnosis(Setup):
         """Paths with the settings of `recording`, and named recordings with their own."""
         return [replace(self.recording, path=one, name=None) if isinstance(one, str) else one for one in given]
 
-    def observe(
-        self, space: ParameterSpace, parts: Sequence[Windows], clock: Sequence[float], like: Observation | None = None
-    ) -> Observation:
-        """Recordings on one clock as one observation, simulated with the same step as another one, `like`, if given."""
+    def observe(self, space: ParameterSpace, parts: Sequence[Windows], clock: Sequence[float]) -> Observation:
+        """Recordings on one clock as one observation."""
         windows = joined(parts, [part.recordings[0] for part in parts], clock)
         windows = replace(windows, x0_std=START * windows.x0_std)
         simulator = self.simulator(space, windows, uniform_start=False, stiffest=STIFFEST)
         simulator = replace(simulator, process=NO_DRAWS)
-        if like is not None:
-            simulator = replace(simulator, substeps=max(simulator.substeps, like.simulator.substeps))
         return Observation(simulator, np.where(windows.valid, windows.y, 0.0), estimated=True)
 
 

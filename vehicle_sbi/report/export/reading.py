@@ -22,7 +22,7 @@ from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.export.exported import Exported, Inferred
 from vehicle_sbi.report.run_folder import FinishedRun
 from vehicle_sbi.report.run_folder import read as read_run
-from vehicle_sbi.report.tables import IDENTIFIED_CONTRACTION, read_table
+from vehicle_sbi.report.tables import IDENTIFIED_CONTRACTION, on_edge, read_table
 
 UNCHECKED = (
     "This run did not look for physics that its model lacks. Its uncertainties hold if nothing is missing. "
@@ -70,7 +70,8 @@ def _rows(table: pd.DataFrame) -> Iterator[tuple[str, Inferred]]:
     for row in table.to_dict("records"):
         estimate = _estimate(row, str(row["unit"]), f"table.csv: {row['parameter']}")
         identified = str(row["identified"]).strip().lower() == "true"
-        yield str(row["parameter"]), Inferred(estimate=estimate, identified=identified and _finite(estimate))
+        box = (float(row["prior_low"]), float(row["prior_high"]))
+        yield str(row["parameter"]), _inferred(estimate, box, identified=identified and _finite(estimate))
 
 
 def _correlation(file: Path, names: list[str]) -> pd.DataFrame | None:
@@ -145,7 +146,8 @@ def _boxes(run: FinishedRun) -> Mapping[str, tuple[float, float]]:
 def _base(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]]) -> Iterator[tuple[str, Inferred]]:
     for name, one in verdict["base_parameters"].items():
         estimate = _estimate(one["after"], one["unit"], f"verdict.json: {name}")
-        yield name, Inferred(estimate=estimate, identified=_narrower(estimate, boxes.get(name)))
+        box = boxes.get(name)
+        yield name, _inferred(estimate, box, identified=_narrower(estimate, box))
 
 
 def _effects(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]]) -> Iterator[tuple[str, Inferred]]:
@@ -155,8 +157,15 @@ def _effects(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]
         probability = verdict["effects"].get(name.split(".")[0], 0.0)
         if probability > NAMED:
             estimate = _estimate(e, e["unit"], f"verdict.json: {name}")
-            identified = _narrower(estimate, boxes.get(name))
-            yield name, Inferred(estimate=estimate, identified=identified, probability=probability)
+            box = boxes.get(name)
+            yield name, _inferred(estimate, box, identified=_narrower(estimate, box), probability=probability)
+
+
+def _inferred(
+    estimate: Estimate, box: tuple[float, float] | None, *, identified: bool, probability: float | None = None
+) -> Inferred:
+    edge = box is not None and on_edge(estimate.mean, *box)
+    return Inferred(estimate=estimate, identified=identified, on_edge=edge, probability=probability)
 
 
 def _narrower(estimate: Estimate, box: tuple[float, float] | None) -> bool:
@@ -169,7 +178,9 @@ def _narrower(estimate: Estimate, box: tuple[float, float] | None) -> bool:
 def _caveats(verdict: Mapping[str, Any]) -> Iterator[str]:
     """What the diagnosis says of its own numbers."""
     yield f"Diagnosis: {verdict['headline']}"
-    yield f"Probability that something is missing which no known effect stands for: {verdict['p_unknown']:.2f}."
+    for law in (verdict["unknown"] or {}).get("laws", ())[:1]:
+        size = law["size"]
+        yield f"No known effect stands for: {law['target']} of {size['mean']:.2g} {size['unit']} (root mean square)."
     fit = verdict["fit"]
     if "accepted" in fit:
         said = "accepted" if fit["accepted"] else "NOT accepted"

@@ -11,7 +11,8 @@ from vehicle_sbi.rounding import rounded
 WIDTH = 110  # columns of a comment
 LEGEND = (
     "Values are posterior means. Beside each: unit; standard deviation; 5 % and 95 % quantiles; the parameters it is "
-    "from. A value marked STATED is the vehicle file's, and nothing here has tested it."
+    "from. A value marked STATED is the vehicle file's, and nothing here has tested it. One ON THE EDGE OF ITS PRIOR "
+    "is a limit that was assumed rather than a measurement."
 )
 
 
@@ -107,6 +108,8 @@ def remark(known: Exported, entry: Entry) -> str:
         low, high = rounded(e.q05, e.std), rounded(e.q95, e.std)
         origin = f"std {rounded(e.std, e.std)}; 5 to 95 %: {low} to {high}; from {', '.join(value.slopes)}"
         origin += f", with {', '.join(entry.stated)} STATED" if entry.stated else ""
+        edges = [name for name in value.slopes if known.inferred[name].on_edge]
+        origin += f"; ON THE EDGE OF ITS PRIOR: {', '.join(edges)}" if edges else ""
     else:
         origin = "STATED, not identified"
     return "; ".join(part for part in (unit, origin, entry.note) if part)

@@ -202,16 +202,13 @@ def _effects(answer: Verdict) -> pd.DataFrame:
 
 
 def _sets(answer: Verdict) -> pd.DataFrame:
-    """The likeliest sets, none, and what is left over by itself."""
+    """The likeliest sets, whether anything is left over beside them or not, and none."""
+    likeliest = answer.explanations[:SETS]
     rows = [
-        {
-            "alone": f"{one.probability:.3f}",
-            "with a discrepancy": f"{one.beside_unknown:.3f}",
-            "effects": listed(one.effects),
-        }
-        for one in answer.explanations[:SETS]
+        {"probability": f"{one.probability + one.beside_unknown:.3f}", "effects": listed(one.effects)}
+        for one in likeliest
     ]
-    rows.append({"alone": f"{answer.p_none:.3f}", "with a discrepancy": "", "effects": "none"})
+    rows.append({"probability": f"{answer.p_none:.3f}", "effects": "none"})
     return pd.DataFrame(rows)
 
 
