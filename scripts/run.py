@@ -10,9 +10,9 @@ from _entry import launch, run_folder, warn  # first: it sets the number of thre
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from vehicle_sbi.inference.rounds import infer
+from vehicle_sbi.inference.rounds import file_of, infer
 from vehicle_sbi.inference.simulator import use_cores
-from vehicle_sbi.report.results import report, show
+from vehicle_sbi.report.results import first_answer, report, show
 
 
 @launch("config")
@@ -23,6 +23,9 @@ def main(cfg: DictConfig) -> None:
     warn(prepared.warnings)
     with run_folder(cfg, inputs=prepared.inputs) as folder:
         if not folder.finished:
+            if not folder.checkpoints.kept(file_of(0)):
+                with folder.stage("first answer"):
+                    print(first_answer(prepared.problem), flush=True)
             with folder.stage("rounds"):
                 inference = infer(prepared.problem, scheme, folder.checkpoints, warn=warn)
             report(folder, prepared, inference, samples=cfg.samples, reweight=cfg.reweight)

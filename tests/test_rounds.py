@@ -31,6 +31,7 @@ from vehicle_sbi.inference.rounds import (
     without_failures,
 )
 from vehicle_sbi.inference.training import Training
+from vehicle_sbi.report.results import first_answer
 from vehicle_sbi.rng import Stream
 
 SMALL = NeuralSplineFlow(hidden_features=10, num_transforms=2, num_bins=4)
@@ -281,3 +282,22 @@ def test_rounds_whose_means_lie_far_apart_are_said_to_disagree(
     found = disagreements(Inference((), both), space)
     assert [name for name, _ in found] == told
     assert all(abs(far - moved) < 0.2 for _, far in found)  # 0.03 each from the mean and the deviation of 2000 draws
+
+
+def test_the_first_answer_is_the_fit_and_the_spread_about_it() -> None:
+    study = problem()
+    assert study.laplace is not None
+    mean, covariance = study.laplace.marginal
+    head, *rows = first_answer(study).rstrip().splitlines()
+    assert "rough" in head
+    assert [row.split()[0] for row in rows] == list(study.simulator.space.names)
+    for row, x, std in zip(rows, mean, np.sqrt(np.diag(covariance)), strict=True):
+        _, said, _, spread, *_ = row.split()
+        assert abs(float(said) - x) <= 0.05 * std  # said to two digits of the spread
+        assert abs(float(spread) - std) <= 0.05 * std
+
+
+def test_where_no_fit_explains_the_recording_there_is_no_first_answer() -> None:
+    study = problem()
+    wave = 3.0 * study.simulator.noise.floor[:, None] * np.sin(np.arange(study.observed.shape[1]) / 3.0)
+    assert "No first answer" in first_answer(replace(study, observed=study.observed + wave))

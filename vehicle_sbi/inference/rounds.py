@@ -325,7 +325,7 @@ def infer(
     warned = False
     done = Inference((), ())
     for k in range(scheme.rounds):
-        name = f"rounds/round_{k}.pt"
+        name = file_of(k)
         path = checkpoints.kept(name) or one_round(problem, scheme, done, quiet=quiet).save(checkpoints, name)
         finished = Round.load(path)
         done = Inference((*done.rounds, finished), (*done.posteriors, posterior_of(problem, finished)))
@@ -333,6 +333,11 @@ def infer(
             warn([f"round {k + 1} of {scheme.rounds}: {unlike(finished)}"])
             warned = True
     return done
+
+
+def file_of(k: int) -> str:
+    """Where round k is kept in a run's folder."""
+    return f"rounds/round_{k}.pt"
 
 
 def unlike(round: Round) -> str:

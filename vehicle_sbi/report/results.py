@@ -14,7 +14,7 @@ from vehicle_sbi.inference.information import bound_std, confusable, fisher
 from vehicle_sbi.inference.predictive import Predictive, predictive
 from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.reweighting import posterior_draws
-from vehicle_sbi.inference.rounds import EXTRAPOLATED, Inference, disagreements, unlike
+from vehicle_sbi.inference.rounds import EXTRAPOLATED, Inference, Problem, disagreements, unlike
 from vehicle_sbi.inference.simulator import STIFFNESSES
 from vehicle_sbi.inference.study import Prepared
 from vehicle_sbi.parameters import ParameterSpace
@@ -26,6 +26,7 @@ from vehicle_sbi.report.page.run import page_of
 from vehicle_sbi.report.run_folder import RunFolder
 from vehicle_sbi.report.tables import nominal_table, on_edge, posterior_table, terminal, write_tables
 from vehicle_sbi.rng import Stream, seed_torch
+from vehicle_sbi.rounding import mean_and_std
 
 LEAKING = 0.5  # acceptance below which the last round is warned about
 LEARNABLE = 0.1  # of the prior's width, a bound below which a parameter ought to have been identified
@@ -60,6 +61,23 @@ def results(prepared: Prepared, inference: Inference, *, samples: int, reweight:
     table = posterior_table(space, drawn, true=prepared.truth, bound_std=bound, bound_std_alone=alone)
     pairs = [(space.names[i], space.names[j], r) for i, j, r in confusable(F, space.prior_std)]
     return Results(drawn, table, predictive(simulator, prepared.problem.observed, drawn), pairs, said)
+
+
+def first_answer(problem: Problem) -> str:
+    """Means and standard deviations about the best fit (Laplace's approximation), before any network is trained."""
+    if len(problem.simulator.plausible):
+        return "No first answer: with plausible effects free no normal about a fit holds the posterior."
+    found = problem.laplace
+    if found is None:
+        return "No first answer: the best fit leaves over more than the noise. `diagnose` says what the model lacks."
+    mean, covariance = found.marginal
+    space, std = problem.simulator.space, np.sqrt(np.diag(covariance))
+    width = max(map(len, space.names))
+    said = [
+        f"  {p.name:<{width}}  {mean_and_std(x, s)} {p.unit}".removesuffix(" 1")
+        for p, x, s in zip(space.parameters, mean, std, strict=True)
+    ]
+    return "\n".join(["First answer, rough: a normal about the best fit (Laplace). The posterior follows.", *said, ""])
 
 
 def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, samples: int, reweight: bool) -> None:
