@@ -13,6 +13,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from vehicle_sbi.command import as_typed
 from vehicle_sbi.data.inspection.inspection import Inspection
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
 from vehicle_sbi.data.inspection.written import ASSUMED, write, write_vehicle
@@ -40,10 +41,10 @@ def mapping_given(cfg: DictConfig) -> str | None:
 
 def say_next(inspection: Inspection, mapping: Path | str, vehicle: Path, done: str) -> None:
     """What was written, and what to type next for either answer."""
-    called = "vehicle-sbi {}" if "VEHICLE_SBI_COMMAND" in os.environ else "python scripts/{}.py"
-    print(f"{done} ({ASSUMED})\nthen for parameters, or for what a simulation lacks")
+    print(f"{done}\n{ASSUMED}\nthen for parameters, or for what a simulation lacks")
     for verb in ("run", "diagnose"):
-        print(f"  {next_command(inspection, mapping, vehicle, command=called.format(verb))}")
+        line = next_command(inspection, mapping, vehicle, command=f"python scripts/{verb}.py")
+        print(f"  {as_typed(verb, line) if 'VEHICLE_SBI_COMMAND' in os.environ else line}")
 
 
 if __name__ == "__main__":

@@ -246,7 +246,7 @@ def inspected(folder: Path, journey: Journey) -> Path:
         line for line in found.splitlines() if "?" in line and not any(q in line for q in journey.wrong.values())
     ] == []
     assert all(question in found for question in journey.wrong.values())
-    assert f"vehicle-sbi run recording={file.name} {' '.join(FILES)}" in said
+    assert f"vehicle-sbi run {file.name} {' '.join(FILES)}" in said
     edited(folder, said)
     assert "nothing that this drive tells" in vehicle_sbi(folder, "inspect", file.name, FILES[0])
     return file

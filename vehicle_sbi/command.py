@@ -104,7 +104,14 @@ def example(name: str) -> str:
     if verb.given:
         return plain
     lines = [line.strip() for line in _docstring(verb.path).splitlines() if line.strip().startswith("python ")]
-    return lines[0].replace(f"python scripts/{verb.script}.py", plain) if lines else plain
+    return as_typed(name, lines[0]) if lines else plain
+
+
+def as_typed(name: str, text: str) -> str:
+    """Calls of a verb's script in a text, as they are typed here: a file needs no key."""
+    verb, plain = VERBS[name], f"vehicle-sbi {name}"
+    text = text.replace(f"python scripts/{verb.script}.py", plain)
+    return text.replace(f"{plain} {verb.file}=", f"{plain} ")
 
 
 def completion() -> str:

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 
 import yaml
 
+from vehicle_sbi.command import as_typed
+
 FILES: Mapping[str, str] = {"recording": "or a file", "vehicle": "or a YAML file", "mapping": "or a YAML file"}
 WIDTH = 14
 HEAD = "key=value sets a key, group=name chooses an option; lists and spaces need quotes: 'effects=[aero_drag]'."
@@ -20,8 +22,9 @@ def wanted(arguments: list[str]) -> bool:
 
 def text(docstring: str, config_name: str, script: str) -> str:
     """The help of a script, in the words of the command that it was called by."""
-    called = os.environ.get("VEHICLE_SBI_COMMAND", f"python scripts/{script}.py")
-    said = docstring.strip().replace(f"python scripts/{script}.py", f"  {called}")
+    verb = os.environ.get("VEHICLE_SBI_COMMAND", "").removeprefix("vehicle-sbi ")
+    said = docstring.strip().replace("python scripts/", "  python scripts/")
+    said = as_typed(verb, said) if verb else said
     config = yaml.safe_load((configuration.CONF / f"{config_name}.yaml").read_text(encoding="utf-8"))
     return "\n".join([said, "", HEAD, "", *_choices(config), *_settings(config), "", MORE])
 
