@@ -18,6 +18,7 @@ from vehicle_sbi.mismatch.selection.expand_and_prune import (
     _Round,
     _simulated,
     expand_and_prune,
+    folded,
 )
 from vehicle_sbi.mismatch.selection.extended import with_effects
 from vehicle_sbi.mismatch.selection.inclusion import Chain
@@ -54,6 +55,19 @@ def pruned(base: Fit) -> Pruned:
     found = expand_and_prune(base, known, None, prior=stated(), rng=np.random.default_rng(0), budget=SHORT)
     assert found is not None
     return found
+
+
+def test_draws_beyond_a_bound_keep_their_spread_within_it() -> None:
+    drawn = np.random.default_rng(0).normal([1.0, 0.5, -9.0], [0.1, 0.1, 0.1], (4000, 3))
+    low, high = np.zeros(3), np.full(3, 0.8)
+    found = folded(drawn, low, high)
+    assert ((found >= low) & (found <= high)).all()
+    inside = (drawn >= low) & (drawn <= high)
+    np.testing.assert_array_equal(found[inside], drawn[inside])
+    # A mean two deviations beyond a bound is as far within it; cut off, it would have a deviation of 0.006.
+    assert found[:, 0].mean() == pytest.approx(0.6, abs=0.01)
+    assert found[:, 0].std() == pytest.approx(0.1, abs=0.01)
+    np.testing.assert_array_equal(found[:, 2], high[2])  # farther than the box is wide
 
 
 def test_columns_and_residual_are_those_of_the_fit(expanded: tuple[Expansion, Fit]) -> None:

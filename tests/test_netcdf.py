@@ -81,8 +81,9 @@ def pruned() -> Pruned:
     expansion = Expansion(base.simulator.space.parameters, sizes, shapes, np.ones(2), np.full(2, 0.1))
     sim = replace(base.simulator, space=expansion.space)
     fit = replace(base, observation=replace(base.observation, simulator=sim))
-    rng = np.random.default_rng(1)
-    return Pruned(expansion, uniform(expansion.space), rng.random((N, 2)) < 0.5, rng.random((N, 3)) < 0.2, fit, [])
+    rng, inside = np.random.default_rng(1), np.zeros(len(expansion.space))
+    included, discrepant = rng.random((N, 2)) < 0.5, rng.random((N, 3)) < 0.2
+    return Pruned(expansion, uniform(expansion.space), included, discrepant, inside, fit, [])
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +176,15 @@ def test_a_diagnosis_to_which_no_effect_is_known_has_draws_too(pruned: Pruned, t
     expansion = Expansion(base, (), (), np.zeros(0), np.zeros(0))
     sim = replace(pruned.fit.simulator, space=expansion.space)
     fit = replace(pruned.fit, observation=replace(pruned.fit.observation, simulator=sim))
-    bare = Pruned(expansion, pruned.theta[:, : len(base)], np.zeros((N, 0), dtype=bool), pruned.discrepant, fit, [])
+    bare = Pruned(
+        expansion,
+        pruned.theta[:, : len(base)],
+        np.zeros((N, 0), dtype=bool),
+        pruned.discrepant,
+        np.zeros(len(base)),
+        fit,
+        [],
+    )
     case = cast(Any, SimpleNamespace(observation=fit.observation))
     netcdf.write(tmp_path / "x.nc", netcdf.of_diagnosis(case, bare, ORIGIN))
     pd.testing.assert_frame_equal(

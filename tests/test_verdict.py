@@ -133,12 +133,10 @@ def test_estimates_are_those_of_the_posterior_where_a_model_was_inferred(base: F
         assert e.unit == normal[name].unit
 
 
-def test_base_parameters_at_a_bound_of_their_prior_are_spoken_of(pruned: Pruned) -> None:
-    theta = pruned.theta.copy()
-    space = pruned.fit.simulator.space
-    k = space.column("l_f")
-    theta[:, k] = space.high[k]
-    said = _unknown(replace(pruned, theta=theta, remainders=[]))
+def test_base_parameters_that_would_leave_their_prior_are_spoken_of(pruned: Pruned) -> None:
+    beyond = np.zeros(len(pruned.beyond))
+    beyond[pruned.fit.simulator.space.column("l_f")] = 0.6
+    said = _unknown(replace(pruned, beyond=beyond, remainders=[]))
     assert said is not None
     assert [*said.beyond_prior[0].parameters] == ["l_f"]
     assert said.over_time is None

@@ -43,7 +43,7 @@ FEWEST = 30  # draws of a set, from which its parameters are said by those alone
 LEAST = 0.05  # probability from which one that is not is listed
 CORNERED = 2  # base parameters on rims, from which the fit is said to be in a corner
 MISFIT = 2.0  # times the sensor's own noise, from which what is left over is worth a warning
-RIM, STUCK = 0.01, 0.2  # part of a box that counts as its bound, and of the draws there
+STUCK = 0.2  # share of the draws beyond a parameter's box, from which it would leave it
 
 
 @dataclass(frozen=True)
@@ -209,10 +209,11 @@ def _over_time(fit: Fit, one: Remainder) -> Latent:
 def _outgrown(pruned: Pruned, effects: tuple[str, ...]) -> list[Outgrown]:
     found = list[Outgrown]()
     for p in pruned.expansion.base:
-        values, reach = pruned.draws(p.name), RIM * (p.high - p.low)
-        share = float(((values < p.low + reach) | (values > p.high - reach)).mean())
+        share = float(pruned.beyond[pruned.expansion.space.column(p.name)])
         if share > STUCK:
-            found.append(Outgrown({p.name: drawn(values, p.unit)}, {p.name: (p.low, p.high)}, effects, share))
+            found.append(
+                Outgrown({p.name: drawn(pruned.draws(p.name), p.unit)}, {p.name: (p.low, p.high)}, effects, share)
+            )
     return found
 
 

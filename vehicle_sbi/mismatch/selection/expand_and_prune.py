@@ -55,12 +55,14 @@ BUDGET = Budget()
 @dataclass(frozen=True)
 class Pruned:
     """Draws from the posterior over the expanded model: `theta` (n, d) in the parameters' units, `included` (n, sizes)
-    says which sizes are away from their nulls, `discrepant` (n, groups) which discrepancies are there."""
+    says which sizes are away from their nulls, `discrepant` (n, groups) which discrepancies are there, `beyond` (d,)
+    which share of draws lay beyond each parameter's box before they were folded back."""
 
     expansion: Expansion
     theta: Float[np.ndarray, "n d"]
     included: Bool[np.ndarray, "n sizes"]
     discrepant: Bool[np.ndarray, "n groups"]
+    beyond: Float[np.ndarray, " d"]
     fit: Fit
     remainders: list[Remainder]
 
@@ -198,11 +200,19 @@ def groups_of(expansion: Expansion, problem: LinearGaussian, prior: EffectPrior)
 
 
 def _theta(expansion: Expansion, coefficient: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n d"]:
-    """Coefficients as parameters, within their boxes."""
+    """Coefficients as parameters, which may lie beyond their boxes: the linear model has none."""
     theta = np.empty((len(coefficient), len(expansion.unit)))
     theta[:, order(expansion)] = coefficient[:, : theta.shape[1]]
-    space = expansion.space
-    return np.clip(expansion.rest + expansion.unit * theta, space.low, space.high)
+    return expansion.rest + expansion.unit * theta
+
+
+def folded(
+    theta: Float[np.ndarray, "n d"], low: Float[np.ndarray, " d"], high: Float[np.ndarray, " d"]
+) -> Float[np.ndarray, "n d"]:
+    """What lies beyond a bound, as far within it, so that it keeps its spread: cut off, it would pile up at the bound
+    and look sure, where it tells that the model is wrong."""
+    mirrored = np.where(theta < low, 2.0 * low - theta, np.where(theta > high, 2.0 * high - theta, theta))
+    return np.clip(mirrored, low, high)
 
 
 def _pruned(expansion: Expansion, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -> Pruned:
@@ -210,7 +220,9 @@ def _pruned(expansion: Expansion, fit: Fit, here: Sequence[Discrepancy], drawn: 
     included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
     discrepant, first = drawn.included[:, named:], len(expansion.unit)
     left = remainders(fit, here, drawn.coefficient[:, first:], discrepant)
-    return Pruned(expansion, _theta(expansion, drawn.coefficient), included, discrepant, fit, left)
+    theta, space = _theta(expansion, drawn.coefficient), expansion.space
+    beyond = ((theta < space.low) | (theta > space.high)).mean(axis=0)
+    return Pruned(expansion, folded(theta, space.low, space.high), included, discrepant, beyond, fit, left)
 
 
 def _again(now: _Round, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -> _Round:
@@ -222,7 +234,8 @@ def _again(now: _Round, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -
     for one, (c,) in zip(here, parts(mean[:, first:], here), strict=True):
         series += np.tensordot(c, one.series, axes=1)
     observed = np.where(fit.simulator.windows.valid, fit.observation.observed - series, 0.0)
-    start = _simulated(fit, _theta(expansion, mean)[0])
+    space = expansion.space
+    start = _simulated(fit, np.clip(_theta(expansion, mean)[0], space.low, space.high))
     return _Round(expansion, start, rms, replace(fit.observation, observed=observed))
 
 
@@ -242,4 +255,5 @@ def _pooled(found: Sequence[Pruned]) -> Pruned:
     theta, included, discrepant = (
         np.concatenate([getattr(one, name) for one in found]) for name in ("theta", "included", "discrepant")
     )
-    return replace(found[-1], theta=theta, included=included, discrepant=discrepant)
+    beyond = np.mean([one.beyond for one in found], axis=0)
+    return replace(found[-1], theta=theta, included=included, discrepant=discrepant, beyond=beyond)
