@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from vehicle_sbi.command import as_typed
 from vehicle_sbi.data.inspection.inspection import Inspection
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
-from vehicle_sbi.data.inspection.written import ASSUMED, write, write_vehicle
+from vehicle_sbi.data.inspection.written import write, write_vehicle
 
 
 @launch("inspect_recording")
@@ -41,7 +41,7 @@ def mapping_given(cfg: DictConfig) -> str | None:
 
 def say_next(inspection: Inspection, mapping: Path | str, vehicle: Path, done: str) -> None:
     """What was written, and what to type next for either answer."""
-    print(f"{done}\n{ASSUMED}\nthen for parameters, or for what a simulation lacks")
+    print(f"{done}, then for parameters, or for what a simulation lacks")
     for verb in ("run", "diagnose"):
         line = next_command(inspection, mapping, vehicle, command=f"python scripts/{verb}.py")
         print(f"  {as_typed(verb, line) if 'VEHICLE_SBI_COMMAND' in os.environ else line}")

@@ -201,9 +201,12 @@ def test_the_vehicle_file_fails_until_it_is_edited(tmp_path: Path) -> None:
         read_vehicle(str(path))
     text = path.read_text().replace('m: "a number, or null"', "m: 1500").replace('"a number, or null"', "null")
     path.write_text(text)
+    with pytest.raises(InputError, match=r"drive_front = '1 front, 0 rear, between if both' is not a number"):
+        read_vehicle(str(path))
+    text = text.replace('"1 front, 0 rear, between if both"', "0")
+    path.write_text(text)
     vehicle = read_vehicle(str(path))
-    assert (vehicle.name, vehicle.m, vehicle.steering_ratio) == ("drive", 1500, None)
-    assert vehicle.drive_front == 1.0
+    assert (vehicle.name, vehicle.m, vehicle.steering_ratio, vehicle.drive_front) == ("drive", 1500, None, 0)
     assert set(MEANINGS) == set(Vehicle.__dataclass_fields__) - {"name"}
     assert all("# [" in line for line in text.splitlines() if line.split(":")[0] in MEANINGS)
 

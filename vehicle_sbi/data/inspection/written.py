@@ -1,7 +1,7 @@
 """Files to edit after an inspection: NAME.mapping.yaml, which reading takes, and NAME.vehicle.yaml.
 
-What every car's papers say (mass, wheelbase, steering ratio) stands there as a text that no run accepts; the rest may
-stay unknown.
+What every car's papers say (mass, wheelbase, steering ratio, driven axle) stands there as a text that no run accepts;
+the rest may stay unknown.
 """
 
 import json
@@ -25,8 +25,8 @@ UNITS = {
     "K": "N/m",
     **dict.fromkeys(("steering_ratio", "drive_front", "brake_front"), "1"),
 }
-USUAL = {"drive_front": "1.0", "brake_front": "0.6", "C_vert": ".inf", "K": ".inf"}
-ASSUMED = "assumed unless you change them: drive_front 1.0 (front-wheel drive), brake_front 0.6"
+DRIVEN = "1 front, 0 rear, between if both"
+USUAL = {"drive_front": json.dumps(DRIVEN), "brake_front": "0.6", "C_vert": ".inf", "K": ".inf"}
 
 
 def write(inspection: Inspection, folder: Path, *, overwrite: bool = False) -> tuple[Path, Path]:
