@@ -39,7 +39,8 @@ TRUTH = {"l_f": CAR.l_f, "C_alpha_f": CAR.C_alpha_f, "C_alpha_r": CAR.C_alpha_r,
 NOISE = {"steering": 2e-4, "v_x": 0.02, "yaw_rate": 0.003, "a_y": 0.08, "a_x": 0.08}  # [SI]
 RATE, SECONDS = 200.0, 24.0
 QUICK = ["experiment=smoke", "rounds.simulations=600", "training.max_epochs=60"]
-STATED = {"m": CAR.m, "L": CAR.L, "steering_ratio": CAR.steering_ratio, "drive_front": CAR.drive_front}  # what a car's papers say
+PAPERS = ("m", "L", "steering_ratio", "drive_front")  # what those of a car say
+STATED = {name: getattr(CAR, name) for name in PAPERS}
 FILES = ["mapping=drive.mapping.yaml", "vehicle=drive.vehicle.yaml"]
 INTERVAL = 1.645  # standard deviations from the middle of a normal's 90 % interval to its ends
 WIDEST = 3.5  # the same, beyond which one of 12 draws lies in 1 of 180 tests
