@@ -15,9 +15,11 @@ from cars import PAPER, finished, record_of
 from conftest import ROOT
 
 from vehicle_sbi.data.channels import CHANNELS
+from vehicle_sbi.data.checks.limits import refuse_impossible
 from vehicle_sbi.data.plausibility import LIMITS, absurd, findings
 from vehicle_sbi.data.readers import RecordingFile, read
 from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.errors import InputError
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 from vehicle_sbi.physics.single_track import INPUTS
 
@@ -304,3 +306,14 @@ def test_absurd_runs_are_left_out_and_listed_as_a_file_is_read(tmp_path: Path) -
     assert not found.valid["steering_wheel"][600:605].any()
     assert found.warnings == ()
     assert findings(replace(found, channels=dict(found.channels) | {"a_y": -found.channels["a_y"]})) != ()
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"), [("steering", 1e300), ("v_x", 1000.0), ("a_y", 1e4), ("yaw_rate", 1e4), ("steering_wheel", 1e3)]
+)
+def test_what_no_car_can_be_is_refused_before_anything_is_inferred(name: str, factor: float) -> None:
+    right = healthy("slalom")
+    refuse_impossible(recording(right), right)
+    with pytest.raises(InputError, match=rf"{name} is beyond .* which no car reaches"):
+        refuse_impossible(recording(right | {name: factor * (right[name] + 1e-3)}), right)
+    refuse_impossible(recording(right | {name: factor * right[name]}), ())  # what is not used may be anything

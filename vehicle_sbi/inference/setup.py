@@ -8,6 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
+from vehicle_sbi.data.channels import NEEDED
+from vehicle_sbi.data.checks.drive import STEERINGS
+from vehicle_sbi.data.checks.limits import refuse_impossible
 from vehicle_sbi.data.cutting import cut
 from vehicle_sbi.data.noise import ConstantNoise, EstimatedNoise, MeasurementNoise, ProportionalNoise, from_residual
 from vehicle_sbi.data.readers import RecordingFile
@@ -75,7 +78,11 @@ class Setup:
         )
 
     def windows(self, recording: Recording, source: RecordingFile) -> Windows:
-        """The recording cut into windows, with the settings of the file it comes from."""
+        """The recording cut into windows, with the settings of the file it comes from.
+
+        Raises InputError for a channel that mostly is what no car can be.
+        """
+        refuse_impossible(recording, [*STEERINGS, *NEEDED.get(self.drive, ()), *source.channels])
         return cut(
             recording,
             drive=self.drive,

@@ -1,6 +1,6 @@
 """Limits: what no vehicle's channel goes beyond, and samples that jump out and back."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.checks.drive import Finding, runs
 from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.errors import InputError
 
 LIMITS: Mapping[str, float] = {
     "steering": 1.4,  # [rad], 80 degrees: no road wheel turns further
@@ -23,6 +24,7 @@ LIMITS: Mapping[str, float] = {
 """What no vehicle's channel goes beyond, in its own unit."""
 
 BROKEN = 0.1  # share of samples beyond a limit, from which it is the unit rather than the samples that is wrong
+IMPOSSIBLE = 0.5  # share of them, from which nothing can be identified
 RUN_S = 1.0  # [s] that a run of absurd samples lasts at most
 JUMP, BACK = 10.0, 0.25  # times all but the largest usual changes, and of the jump that is not taken back
 MOST_JUMPED = 0.02  # share of samples in such runs, from which it is what the channel does
@@ -69,10 +71,29 @@ def spoken_runs(which: Bool[np.ndarray, " rows"], t: Float[np.ndarray, " rows"],
 
 def beyond_limits(recording: Recording) -> Iterator[Finding]:
     """Channels that lie beyond what they can be too often for single samples to be wrong."""
-    for name, values in recording.channels.items():
-        finite = values[np.isfinite(values)]
-        share = float(np.mean(np.abs(finite) > LIMITS.get(name, np.inf))) if len(finite) else 0.0
+    for name in recording.channels:
+        share = _share_beyond(recording, name)
         if share > BROKEN:
-            unit = CHANNELS[name].unit
-            what = f"{name} is beyond {LIMITS[name]:g} {unit} in {share:.0%} of the time"
-            yield Finding(name, "unit", f"{what}: is its unit {unit}?")
+            yield Finding(name, "unit", f"{_beyond(name, share)}: is its unit {CHANNELS[name].unit}?")
+
+
+def refuse_impossible(recording: Recording, used: Iterable[str]) -> None:
+    """InputError for the first of the channels that are used of which most lies beyond what any vehicle can be."""
+    for name in used:
+        share = _share_beyond(recording, name)
+        if share > IMPOSSIBLE:
+            raise InputError(
+                f"{recording.source}: {_beyond(name, share)}, which no car reaches: is its unit {CHANNELS[name].unit}? "
+                "`inspect` says more"
+            )
+
+
+def _share_beyond(recording: Recording, name: str) -> float:
+    """Of a channel's samples, those beyond its limit; 0 where it is not recorded."""
+    values = recording.channels.get(name, np.zeros(0))
+    finite = values[np.isfinite(values)]
+    return float(np.mean(np.abs(finite) > LIMITS.get(name, np.inf))) if len(finite) else 0.0
+
+
+def _beyond(name: str, share: float) -> str:
+    return f"{name} is beyond {LIMITS[name]:g} {CHANNELS[name].unit} in {share:.0%} of the time"
