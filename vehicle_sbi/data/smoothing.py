@@ -1,9 +1,11 @@
 """A signal as the car made it: without the noise of its sensor, and without the steps of a slow update."""
 
+from typing import cast
+
 import numpy as np
 from jaxtyping import Float
 from scipy.fft import dct, idct
-from scipy.optimize import minimize_scalar
+from scipy.optimize import OptimizeResult, minimize_scalar
 from scipy.signal import savgol_filter
 
 from vehicle_sbi.errors import InputError
@@ -47,15 +49,16 @@ def denoised(values: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
     known = np.isfinite(values)
     if known.sum() < LEAST_DENOISED:
         return values
-    x = dct(np.interp(np.arange(len(values)), np.flatnonzero(known), values[known]), norm="ortho")
+    x = np.asarray(dct(np.interp(np.arange(len(values)), np.flatnonzero(known), values[known]), norm="ortho"))
     roughness = (2.0 - 2.0 * np.cos(np.pi * np.arange(len(x)) / len(x))) ** 2
 
     def cross_validated(log_penalty: float) -> float:
         kept = 1.0 / (1.0 + 10.0**log_penalty * roughness)
         return float(np.mean(((1.0 - kept) * x) ** 2) / max(1.0 - kept.mean(), 1e-12) ** 2)
 
-    best = minimize_scalar(cross_validated, bounds=PENALTIES, method="bounded").x
-    return np.where(known, idct(x / (1.0 + 10.0**best * roughness), norm="ortho"), np.nan)
+    best = cast(OptimizeResult, minimize_scalar(cross_validated, bounds=PENALTIES, method="bounded")).x
+    smooth = np.asarray(idct(x / (1.0 + 10.0**best * roughness), norm="ortho"))
+    return np.where(known, smooth, np.nan)
 
 
 def unheld(values: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
