@@ -322,16 +322,14 @@ def infer(
 ) -> Inference:
     """Run all rounds, each taken from its checkpoint where there is one; `warn` is told as soon as the recording proves
     to be unlike what is simulated."""
-    warned = False
     done = Inference((), ())
     for k in range(scheme.rounds):
         name = file_of(k)
         path = checkpoints.kept(name) or one_round(problem, scheme, done, quiet=quiet).save(checkpoints, name)
         finished = Round.load(path)
-        done = Inference((*done.rounds, finished), (*done.posteriors, posterior_of(problem, finished)))
-        if finished.surprise > EXTRAPOLATED and not warned:
+        if finished.surprise > EXTRAPOLATED and all(one.surprise <= EXTRAPOLATED for one in done.rounds):
             warn([f"round {k + 1} of {scheme.rounds}: {unlike(finished)}"])
-            warned = True
+        done = Inference((*done.rounds, finished), (*done.posteriors, posterior_of(problem, finished)))
     return done
 
 
