@@ -254,11 +254,21 @@ def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float
     found = []
     for i, axle in enumerate("fr"):
         C, mu = (stiff[i] * c[f"C_kappa_{axle}"], stiff[i] * c[f"C_alpha_{axle}"]), now.mu * slide[i]
-        if drive == "speed":
-            found += pulled_tyre(c, C[1], mu, loads[i], statics[i], pulls[i], alphas[i], a_y)
-        else:
-            found += tyre(c, C, mu, loads[i], statics[i], (kappas[i], alphas[i]), a_y)
+        halves = np.zeros(2)
+        for load in wheel_loads(c, loads[i], a_y):
+            if drive == "speed":
+                halves += pulled_tyre(c, C[1] / 2.0, mu, load, statics[i] / 2.0, pulls[i] / 2.0, alphas[i], a_y)
+            else:
+                half = C[0] / 2.0, C[1] / 2.0
+                halves += tyre(c, half, mu, load, statics[i] / 2.0, (kappas[i], alphas[i]), a_y)
+        found += halves.tolist()
     return Forces(*found)
+
+
+def wheel_loads(c: Car, F_z: float, a_y: float) -> tuple[float, float]:
+    """Loads [N] of an axle's outer and inner wheel, of which a turn moves a share from one to the other."""
+    s = min((c["lateral_load_transfer_uneven"] * a_y**2) ** 0.5, 1.0)
+    return F_z * (1.0 + s) / 2.0, F_z * (1.0 - s) / 2.0
 
 
 def friction(c: Car) -> tuple[float, float]:

@@ -9,15 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from concealed.multibody_car import STEER, V_X, V_Y, YAW_RATE, parameters
 from concealed.outside import OUTSIDE
-from concealed.twin import ROLL_GRADIENT
+from concealed.twin import CAR, ROLL_GRADIENT, magic
 from measures import shown
 from score_files import called, lines_of
+from vehiclemodels import vehicle_dynamics_mb
+from vehiclemodels.init_mb import init_mb
 from whole_car import cases, oracle, page
 from whole_car.benchmark import WholeCars
 from whole_car.cars import INHERENT, LATERAL, OFF, RATE, whole_car
 from whole_car.missing import FEWEST, MOST, REAL
-from whole_car.scores import Scored, as_line, from_line, parameters, scored, standing
+from whole_car.scores import Scored, as_line, from_line, scored, standing
+from whole_car.scores import parameters as errors_of
 
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.physics.vehicle import GRAVITY
@@ -66,6 +70,43 @@ def test_what_a_world_has_by_itself_is_what_it_does_with_nothing_put_into_it() -
     assert "body_roll" in INHERENT["twin, IMU on the body"]
     assert "body_roll" not in INHERENT["twin"]
     assert "accelerometer_scale" in standing({"effects": {}, "inherent": ["body_roll"]})
+
+
+def test_the_twin_s_axles_lose_side_force_as_their_loads_become_uneven() -> None:
+    # Both wheels of an axle have half its demand z G, and (1 + s)/2, (1 - s)/2 of its grip: less than with even loads,
+    # as the tyre's curve bends downwards.
+    even, uneven = (sum(magic_of(0.4, 0.5 * (1.0 + sign * s)) for sign in (-1, 1)) for s in (0.0, 0.4))
+    assert uneven < 0.99 * even
+    for world in ("twin", "twin, IMU on the body"):
+        assert "lateral_load_transfer" in INHERENT[world]
+
+
+def magic_of(demand: float, grip: float) -> float:
+    car = next(car for i in range(9) if (car := whole_car(np.random.default_rng((0, i)))).world_name == "twin")
+    world: Any = car.world
+    p = np.zeros(1, CAR)
+    p["C"], p["E"] = world.C, world.E
+    return magic(p[0], demand, grip)
+
+
+def test_the_multi_body_car_s_front_axle_relaxes_over_a_rolled_length() -> None:
+    """Its axles give way sideways: side forces follow the slip angles of the car as C/(1 + i w sigma/v) of one."""
+    p, (v, amplitude, w, h) = parameters(2), (15.0, 0.004, 2.0 * np.pi, 2e-3)  # one turn a second
+
+    def rate(x: np.ndarray, t: float) -> np.ndarray:
+        return np.array(vehicle_dynamics_mb.vehicle_dynamics_mb(list(x), [amplitude * w * np.cos(w * t), 0.0], p))
+
+    x, rows = np.array(init_mb([0.0, 0.0, 0.0, v, 0.0, 0.0, 0.0], p)), []
+    for t in h * np.arange(1500):
+        k1 = rate(x, t)
+        rows.append((x[STEER], x[V_Y], x[YAW_RATE], k1[V_Y] + x[YAW_RATE] * x[V_X], k1[YAW_RATE]))
+        x = x + h * rate(x + 0.5 * h * k1, t + 0.5 * h)
+    turns = np.exp(-1j * w * h * np.arange(500, 1500))  # two whole turns, once it has settled
+    delta, v_y, r, a_y, r_dot = turns @ np.array(rows)[500:]
+    force = (p.m * a_y * p.b + p.I_z * r_dot) / (p.a + p.b)
+    sigma = -np.angle(force / (delta - (v_y + p.a * r) / v)) / w * v
+    assert 0.1 < sigma < 0.5  # [m]; a tyre without a compliant axle has none
+    assert "relaxation" in INHERENT["multi-body car"]
 
 
 @pytest.fixture(scope="module")
@@ -171,10 +212,10 @@ def test_a_calibrated_probability_has_no_error_and_a_sure_one_that_is_wrong_all(
 
 def test_an_estimate_without_an_interval_has_the_normal_one() -> None:
     said = {"a": {"mean": 1.0, "std": 0.1}, "b": {"mean": 1.0, "std": 0.1}}
-    found = parameters({"a": 1.16, "b": 1.17}, said)
+    found = errors_of({"a": 1.16, "b": 1.17}, said)
     assert found is not None
     assert found.held.tolist() == [True, False]  # 1.645 standard deviations
-    assert parameters({"c": 1.0}, said) is None
+    assert errors_of({"c": 1.0}, said) is None
 
 
 def test_an_interval_of_a_measure_holds_its_value_and_narrows_with_cases() -> None:

@@ -26,11 +26,19 @@ UNSTATED_CARCASS = 0.8  # share of vehicle files without K
 OFF = 0.3  # by which stated stiffnesses are off at most
 OFF_L_F = 0.12  # [m]
 INHERENT: Mapping[str, tuple[str, ...]] = {
-    "twin": ("tyre_curve",),
-    "twin, IMU on the body": ("tyre_curve", "body_roll"),
-    "multi-body car": ("tyre_curve", "load_sensitivity", "lateral_load_transfer", "body_roll", "body_pitch"),
+    "twin": ("tyre_curve", "lateral_load_transfer"),
+    "twin, IMU on the body": ("tyre_curve", "lateral_load_transfer", "body_roll"),
+    "multi-body car": (
+        "tyre_curve",
+        "load_sensitivity",
+        "lateral_load_transfer",
+        "relaxation",
+        "body_roll",
+        "body_pitch",
+    ),
 }
-"""Effects that each world has by itself: its tyres are not Dugoff's, its body leans. Naming one is never wrong."""
+"""Effects that each world has by itself: its tyres are not Dugoff's, its wheels' loads are uneven in a turn, its body
+leans, its axles give way sideways (the multi-body car's by 175 kN/m). Naming one is never wrong."""
 LIKE: Mapping[str, tuple[str, ...]] = {"body_roll": ("accelerometer_scale",)}
 """What reads as such an effect does, by its equation: an IMU that leans by k a_y reads a_y larger by k g."""
 

@@ -40,6 +40,8 @@ REPORTED = (
 # Where tyres have C = c F_z (1 - k F_z / F_z0), an axle loses k / (1 - k) (2 h_cog a_y / (g track))^2 of its stiffness.
 # h_cog / track is at most 0.4, and k 0.43: at 0.5 stiffness no longer grows with the load.
 MOST_LOAD_TRANSFER = 0.005  # [1/(m/s^2)^2]
+# A wheel's share moves by s = 2 h_cog a_y / (g track); h_cog / track is at most 0.6, where a car tips over at 0.83 g.
+MOST_UNEVEN = 0.015  # [1/(m/s^2)^2], (2 h_cog / (g track))^2
 PEAK_SHAPE = 1.5  # C of the magic formula that the tyre curve blends into
 FULL_SHAPE = (
     1.3  # C of the one that bends late, by the E at which it bends by no third power: any less, it would stiffen
@@ -160,9 +162,13 @@ CATALOGUE: Mapping[str, Effect] = {
         _effect("load_sensitivity", "tyre", "stiffnesses grow with the vertical load",
                 "C = C_static (1 + coefficient (F_z / F_z,static - 1))", f"{PACEJKA}, ch. 1",
                 coefficient=("1", 0.0, 1.0, 0.0)),
-        _effect("lateral_load_transfer", "tyre", "an axle loses cornering stiffness as load moves to its outer wheel",
-                "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2)", f"{PACEJKA}, ch. 1",
-                coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0)),
+        _effect("lateral_load_transfer", "tyre",
+                "an axle loses cornering stiffness, and its inner wheel slides first, as load moves to the outer one",
+                "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2), F_axle = F(F_z (1 + s)/2) + F(F_z (1 - s)/2) "
+                "of two wheels, s = sqrt(uneven) |v_x r|",
+                f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2",
+                coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0),
+                uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0)),
         _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late, instead of saturating",
                 "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(1.3, -1.845) - F_Dugoff), F_x with "
                 "longitudinal in place of peak, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, z = demand "
@@ -602,6 +608,12 @@ def lateral_load_transfer(p, a_y: float) -> float:
 
 
 @compiled
+def uneven(p, a_y: float) -> float:
+    """By which share the load of an axle's outer wheel is above, and that of its inner one below, the mean."""
+    return min(math.sqrt(p.lateral_load_transfer_uneven) * abs(a_y), 1.0)
+
+
+@compiled
 def tyre_curve(p, z: float) -> tuple[float, float]:
     """Factors on Dugoff's forces (F_x, F_y) at demand over grip z: blends towards magic formulas, one of which peaks
     and one bends late (Pacejka, sec. 4.3), in place of z below the knee at 1/2 and 1 - 1/(4 z) beyond it."""
@@ -663,8 +675,8 @@ def wheel_radius(p) -> tuple[float, float]:
 
 @compiled
 def ignores_load(p) -> bool:
-    """Whether the force that `tyre_force` gives below the knee is the same under any load."""
-    return p.load_sensitivity_coefficient == 0.0 and not curved(p)
+    """Whether the force that `axle_force` gives below the knee is the same under any load."""
+    return p.load_sensitivity_coefficient == 0.0 and p.lateral_load_transfer_uneven == 0.0 and not curved(p)
 
 
 @compiled

@@ -14,9 +14,10 @@ and leaves only the lateral equations.
 import math
 from typing import NamedTuple
 
+from vehicle_sbi.physics.axle import axle_force, axle_side_force
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, lateral_cog, pulls, side_force, tyre_force
+from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, lateral_cog, pulls
 from vehicle_sbi.physics.tyre import effective_radius, grips
 
 TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2
@@ -164,15 +165,15 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     load_f, load_r = F_zf / p.F_zf_static, F_zr / p.F_zr_static
     C_f, C_r = p.stiff_f * p.C_alpha_f, p.stiff_r * p.C_alpha_r
     if car.drive == SPEED:
-        F_xf, F_yf = side_force(p, C_f, mu_f, F_zf, load_f, car.pull_f, tan_f, out.steady)
-        F_xr, F_yr = side_force(p, C_r, mu_r, F_zr, load_r, car.pull_r, car.tan_r, out.steady)
+        F_xf, F_yf = axle_side_force(p, C_f, mu_f, F_zf, load_f, car.pull_f, tan_f, out.steady)
+        F_xr, F_yr = axle_side_force(p, C_r, mu_r, F_zr, load_r, car.pull_r, car.tan_r, out.steady)
     else:
         kappa_f, kappa_r = car.kappa_f, car.kappa_r
         if not relaxed:
             _, _, now_f, now_r = rolling(p, car, front, F_zf, F_zr)
             kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
-        F_xf, F_yf = tyre_force(p, p.stiff_f * p.C_kappa_f, C_f, mu_f, F_zf, load_f, kappa_f, tan_f, out.steady)
-        F_xr, F_yr = tyre_force(p, p.stiff_r * p.C_kappa_r, C_r, mu_r, F_zr, load_r, kappa_r, car.tan_r, out.steady)
+        F_xf, F_yf = axle_force(p, p.stiff_f * p.C_kappa_f, C_f, mu_f, F_zf, load_f, kappa_f, tan_f, out.steady)
+        F_xr, F_yr = axle_force(p, p.stiff_r * p.C_kappa_r, C_r, mu_r, F_zr, load_r, kappa_r, car.tan_r, out.steady)
     F_along = F_xf * front.cosine - F_yf * front.sine + F_xr
     F_lateral_f = F_xf * front.sine + F_yf * front.cosine
     solved = a_x if car.drive == SPEED else (F_along + out.push_x) / p.mass
