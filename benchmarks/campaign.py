@@ -8,15 +8,15 @@ import json
 import os
 import platform
 import runpy
-import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import date
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -26,10 +26,11 @@ from tqdm import tqdm
 
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.files import write_text
+from vehicle_sbi.fleet.attended import ONE_THREAD, attended
+from vehicle_sbi.fleet.engine import Engine, Function, each
 
 ROOT = Path(__file__).resolve().parents[1]
 PRELOADED = ["hydra", "vehicle_sbi.report.diagnosis"]  # by the process from which those of diagnoses are forked
-ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +41,7 @@ class Diagnoser:
     script: Path
     tree: Path
     timeout_s: float
+    forks: bool = True  # whether its own script may start from a process that has imported everything
 
     @property
     def own(self) -> bool:
@@ -53,7 +55,11 @@ def diagnose(case: Path, by: Diagnoser) -> None:
     words = yaml.safe_load((case / "case.yaml").read_text())["overrides"]
     arguments = [*words, "figures=false", f"hydra.run.dir={case / by.name}"]
     begun = time.monotonic()
-    status = (_forked if by.own else _started)(by, arguments, case / f"{by.name}.log")
+    log = case / f"{by.name}.log"
+    if by.own and by.forks:
+        status = _forked(by, arguments, log)
+    else:
+        status = attended(by.tree / by.script, arguments, log, by.timeout_s, tree=by.tree)
     write_text(case / f"{by.name}.json", json.dumps({"seconds": time.monotonic() - begun, "status": status}))
 
 
@@ -67,28 +73,9 @@ def _forked(by: Diagnoser, arguments: Sequence[str], log: Path) -> int | None:
     if process.is_alive():
         process.kill()
         process.join()
-        _stopped(log, by.timeout_s)
+        with log.open("a") as file:
+            file.write(f"stopped after {by.timeout_s:g} s\n")
     return process.exitcode
-
-
-def _started(by: Diagnoser, arguments: Sequence[str], log: Path) -> int | None:
-    """Exit status of another checkout's script, which imports its own modules; that takes some seconds more."""
-    environment = os.environ | {"PYTHONPATH": str(by.tree)}
-    command = [sys.executable, str(by.script), *arguments]
-    with log.open("w") as file:
-        try:
-            done = subprocess.run(
-                command, cwd=by.tree, env=environment, stdout=file, stderr=file, timeout=by.timeout_s, check=False
-            )
-        except subprocess.TimeoutExpired:
-            _stopped(log, by.timeout_s)
-            return None
-    return done.returncode
-
-
-def _stopped(log: Path, after_s: float) -> None:
-    with log.open("a") as file:
-        file.write(f"stopped after {after_s:g} s\n")
 
 
 def run_script(script: Path, arguments: Sequence[str], log: Path) -> None:
@@ -101,15 +88,30 @@ def run_script(script: Path, arguments: Sequence[str], log: Path) -> None:
     runpy.run_path(str(script), run_name="__main__")
 
 
-def work(folder: Path, seed: int, mix: str, index: int, stages: Mapping[str, bool], by: Diagnoser) -> str:
-    """One case through the stages that are asked for; what went wrong, or nothing."""
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """A case, and what is to be done with it."""
+
+    folder: Path
+    seed: int
+    mix: str
+    index: int
+    diagnosed: bool
+    baselines: bool
+    by: Diagnoser
+
+
+def work(plain: Mapping[str, Any]) -> str:
+    """One case through the stages that are asked for, a `Task` in plain data; what went wrong, or nothing."""
+    task = Task(**plain | {"by": Diagnoser(**plain["by"])})
+    folder, mix, index, by = task.folder, task.mix, task.index, task.by
     case, sealed = folder / "cases" / f"{index:04d}", folder / "sealed" / f"{index:04d}.json"
     try:
-        BENCHMARKS[mix].build(seed, index, folder)
-        BENCHMARKS[mix].prepare(case, sealed, baselines=stages["baselines"])
+        BENCHMARKS[mix].build(task.seed, index, folder)
+        BENCHMARKS[mix].prepare(case, sealed, baselines=task.baselines)
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         return f"case {index}: {error}"
-    for one in BENCHMARKS[mix].asked(case) if stages["diagnose"] else ():
+    for one in BENCHMARKS[mix].asked(case) if task.diagnosed else ():
         diagnose(one, by)
         if not (one / by.name / "verdict.json").exists():
             return f"case {index}: no verdict; {one / by.name}.log says why"
@@ -135,7 +137,7 @@ def _spoken(drawn: Mapping[str, object]) -> str:
 
 
 def prove(
-    *, folder: Path, results: Path, n: int, seed: int, mix: str, workers: int, stages: Mapping[str, bool],
+    *, folder: Path, results: Path, n: int, seed: int, mix: str, engine: Engine, diagnosed: bool, baselines: bool,
     by: Diagnoser, beside: Sequence[str] = (),
 ) -> str:  # fmt: skip
     """Run what is missing, write RESULTS/MIX.csv and .md (with a verdict at least), and return the page.
@@ -154,17 +156,14 @@ def prove(
     write_text(seal, json.dumps(drawn))
     scores = {one: results / f"{mix}_{seed}_{one}{SUFFIX}" for one in (by.name, *BENCHMARKS[mix].simpler)}
     done = {one: {i: line for i, line in lines_of(path).items() if i < n} for one, path in scores.items()}
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-    try:
-        left = [i for i in range(n) if i not in done[by.name]]
-        jobs = [pool.submit(work, folder, seed, mix, i, dict(stages), by) for i in left]
-        with tqdm(total=len(left), desc="cases", disable=None) as bar:
-            for job in as_completed(jobs):
-                if problem := job.result():
-                    bar.write(problem)
-                bar.update()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    todo = partial(Task, folder=folder, seed=seed, mix=mix, diagnosed=diagnosed, baselines=baselines, by=by)
+    left = [asdict(todo(index=i)) for i in range(n) if i not in done[by.name]]
+    run = Function(str(ROOT / "benchmarks"), "campaign", "work")
+    with tqdm(total=len(left), desc="cases", disable=None) as bar:
+        for _, problem in each(engine, run, left):
+            if problem:
+                bar.write(problem)
+            bar.update()
     asked = {i: BENCHMARKS[mix].asked(folder / "cases" / f"{i:04d}") for i in range(n)}
     built = [i for i, folders in asked.items() if all((one / "case.yaml").exists() for one in folders)]
     if not (built or done[by.name]):
@@ -174,7 +173,7 @@ def prove(
             write_text(scores[one], "".join(f"{lines[i]}\n" for i in sorted(lines)))
     own, *simpler = (str(path) if path.exists() else one for one, path in scores.items())
     known, command = sorted({*built, *done[by.name]}), f"python scripts/prove.py cases={n} seed={seed} mix={mix}"
-    table, page = BENCHMARKS[mix].judged(folder, known, (own, *beside, *simpler), command, machine(workers))
+    table, page = BENCHMARKS[mix].judged(folder, known, (own, *beside, *simpler), command, machine(engine.workers))
     judged = scores[by.name].exists() or any((one / by.name).exists() for i in built for one in asked[i])
     where = results if judged else folder
     written = mix if by.own and not beside else "_".join([mix, by.name, *map(called, beside)])

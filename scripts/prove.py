@@ -1,6 +1,7 @@
 """The concealed-effects benchmark: cases whose truth is sealed, diagnosed from their files alone, and scored.
 
 python scripts/prove.py cases=400 workers=2
+python scripts/prove.py cases=400 engine=dask scheduler=tcp://10.0.0.1:8786
 """
 
 from _entry import launch  # first: it sets the number of threads
@@ -11,6 +12,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.fleet.engine import Engine
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -20,9 +22,9 @@ def main(cfg: DictConfig) -> None:
     sys.path.append(str(ROOT / "benchmarks"))
     from campaign import Diagnoser, prove
 
-    for name, value in (("cases", cfg.cases), ("workers", cfg.workers)):
-        if not isinstance(value, int) or value < 1:
-            raise InputError(f"{name} = {value!r}; it must be a whole number above 0")
+    if not isinstance(cfg.cases, int) or cfg.cases < 1:
+        raise InputError(f"cases = {cfg.cases!r}; it must be a whole number above 0")
+    engine = Engine(name=cfg.engine.name, workers=cfg.workers, scheduler=cfg.scheduler, computing=True)
     print(
         prove(
             folder=Path(cfg.folder),
@@ -30,13 +32,15 @@ def main(cfg: DictConfig) -> None:
             n=cfg.cases,
             seed=cfg.seed,
             mix=cfg.mix,
-            workers=cfg.workers,
-            stages={"diagnose": cfg.diagnose, "baselines": cfg.baselines},
+            engine=engine,
+            diagnosed=cfg.diagnose,
+            baselines=cfg.baselines,
             by=Diagnoser(
                 name=cfg.name,
                 script=Path(cfg.script),
                 tree=Path(cfg.tree).resolve() if cfg.tree else ROOT,
                 timeout_s=cfg.timeout_s,
+                forks=engine.name == "local",
             ),
             beside=list(cfg.beside),
         )

@@ -167,7 +167,7 @@ def test_a_friction_that_is_stated_too_high_is_found_although_nothing_changes_ne
     asleep = [d.parameter for d in known if d.asleep]
     assert [p.name for p in asleep] == ["friction_level.factor"]
     now = _Round.first(base, Expansion.of(base.simulator.space, known, stated()))
-    unaware, woken = now.first_fit([]), now.first_fit(asleep)
+    unaware, woken = now.expansion.likeliest(now.observation, [now.start], now.rms), now.first_fit(asleep)
     assert unaware is not None
     assert woken is not None
     assert woken.log_likelihood > unaware.log_likelihood + 100.0  # of 5 standard deviations there are 12.5

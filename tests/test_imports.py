@@ -39,6 +39,7 @@ report.page.charts report.page.parts report.page.page report.page.series report.
 report.page.index report.results report.diagnosis report.observability report.export.exported report.export.car
 report.export.writing report.export.reading report.export.autoware report.export.openpilot report.export.commonroad
 report.export.plain_json report.export.export report.calibration
+fleet.vehicles fleet.attended fleet.engine fleet.diagnoses fleet.table
 command api
 """.split()
 RANK = {f"vehicle_sbi.{name}": rank for rank, name in enumerate(ORDER)}

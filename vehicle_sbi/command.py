@@ -68,6 +68,7 @@ VERBS: Mapping[str, Verb] = {
     "inspect": Verb(script="inspect_recording", file="recording"),
     "diagnose": Verb(script="diagnose", file="recording"),
     "run": Verb(script="run", file="recording"),
+    "fleet": Verb(script="fleet", file="folder"),
     "calibrate": Verb(script="calibrate"),
     "observability": Verb(script="observability", file="recording"),
     "export": Verb(script="export", file="run"),

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from vehicle_sbi.inference.directions import Direction, null
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.setup import slowest, steps_at
-from vehicle_sbi.mismatch.estimation.fit import DAMPING, Fit, Shrinkage, descend, relinearised, with_own_noise
+from vehicle_sbi.mismatch.estimation.fit import DAMPING, Fit, Shrinkage, descend, onwards, relinearised, with_own_noise
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 
@@ -65,6 +65,12 @@ class Expansion:
         return np.concatenate([_spread(self.base), self.typical, _spread(self.shapes)])
 
     @property
+    def expected(self) -> Float[np.ndarray, " d"]:
+        """Like `rest`, with sizes that only grow or only fall about as far from their nulls as is expected of a car."""
+        away = np.concatenate([np.zeros(len(self.base)), self.sign * self.rates * self.typical])
+        return self.rest + np.concatenate([away, np.zeros(len(self.shapes))])
+
+    @property
     def sign(self) -> np.ndarray:
         """1 for a size that its box lets only grow from the null, -1 for one that may only fall, else 0."""
         return np.array([(null(p) <= p.low) * 1 - (null(p) >= p.high) * 1 for p in self.sizes], dtype=np.int64)
@@ -100,31 +106,43 @@ class Expansion:
         return base.observation.extended(lighter).freeing(self.space.parameters)
 
     def fitted(
+        self, observation: Observation, start: Float[np.ndarray, " d"], rms: Float[np.ndarray, " sizes"]
+    ) -> Fit | None:
+        """The likeliest point under shrinkage near a start that is close to it; None where the simulation fails.
+
+        Derivatives follow from steps, and are simulated at both ends.
+        """
+        fit = self._descended(observation, start, rms, renewed=False)
+        return None if fit is None else relinearised(fit, fit.theta)
+
+    def likeliest(
+        self, observation: Observation, starts: Sequence[Float[np.ndarray, " d"]], rms: Float[np.ndarray, " sizes"]
+    ) -> Fit | None:
+        """The likeliest point under shrinkage from several starts; None where the simulation fails at all of them.
+
+        The best of them goes on with derivatives that are simulated after each step: those that follow from steps often
+        end in a valley, tens of units of log likelihood below its bottom.
+        """
+        fits = [fit for start in starts if (fit := self._descended(observation, start, rms, renewed=True)) is not None]
+        best = max(fits, key=_log_posterior, default=None)
+        if best is None:
+            return None
+        best = with_own_noise(onwards(relinearised(best, best.theta), STEPS), NOISE_ROUNDS, NOISE_STEPS)
+        return relinearised(best, best.theta)
+
+    def _descended(
         self,
         observation: Observation,
         start: Float[np.ndarray, " d"],
         rms: Float[np.ndarray, " sizes"],
         *,
-        near: bool = False,
+        renewed: bool,
     ) -> Fit | None:
-        """The likeliest point under shrinkage, noise estimated there; None where the simulation fails.
-
-        Derivatives follow from steps, and are simulated at both ends; on the way too unless the start is `near`.
-        """
+        """The end of a descent from one start, noise estimated there."""
         space, pull = observation.simulator.space, Shrinkage(self.rest, self.precision(rms))
         start = np.clip(start, space.low, space.high)
-        fit = descend(observation, start, STEPS, pull, secant=True, renewed=not near)
-        if fit is None:
-            return None
-        fit = with_own_noise(fit, NOISE_ROUNDS, NOISE_STEPS, secant=True)
-        return relinearised(fit, fit.theta)
-
-    def likeliest(
-        self, observation: Observation, starts: Sequence[Float[np.ndarray, " d"]], rms: Float[np.ndarray, " sizes"]
-    ) -> Fit | None:
-        """The likeliest of the fits from several starts, shrinkage included; None where the simulation fails."""
-        fits = [fit for start in starts if (fit := self.fitted(observation, start, rms)) is not None]
-        return max(fits, key=_log_posterior, default=None)
+        fit = descend(observation, start, STEPS, pull, secant=True, renewed=renewed)
+        return None if fit is None else with_own_noise(fit, NOISE_ROUNDS, NOISE_STEPS, secant=True)
 
 
 def _log_posterior(fit: Fit) -> float:

@@ -120,14 +120,18 @@ class _Round:
         return cls(expansion, start, np.full(len(expansion.sizes), WIDER), expansion.observed(base))
 
     def first_fit(self, sleeping: Sequence[Parameter]) -> Fit | None:
-        """From sizes at their nulls, and with those that change nothing near it halfway into their boxes."""
-        awake = {p.name: middle(p) for p in sleeping}
-        names = self.expansion.space.names
-        woken = np.array([awake.get(name, x) for name, x in zip(names, self.start, strict=True)])
-        return self.expansion.likeliest(self.observation, [self.start, *([woken] if awake else [])], self.rms)
+        """From effects at their nulls, with those that change nothing near it halfway into their boxes, and with all
+        as large as is expected of a car: beside the base model's parameters as they were fitted and, as these have
+        absorbed what is missing, beside the middle of their boxes."""
+        expected, base = self.expansion.expected, len(self.expansion.base)
+        starts = [self.start, np.concatenate([self.start[:base], expected[base:]]), expected]
+        if awake := {p.name: middle(p) for p in sleeping}:
+            names = self.expansion.space.names
+            starts.append(np.array([awake.get(name, x) for name, x in zip(names, self.start, strict=True)]))
+        return self.expansion.likeliest(self.observation, starts, self.rms)
 
     def fitted(self) -> Fit | None:
-        return self.expansion.fitted(self.observation, self.start, self.rms, near=True)
+        return self.expansion.fitted(self.observation, self.start, self.rms)
 
     def widened(self, expansion: Expansion) -> "_Round":
         """With more that is free, at its null."""

@@ -1,0 +1,251 @@
+"""A fleet as users run it: a folder of vehicles, one table, the same numbers wherever jobs ran and whatever died."""
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pandas as pd
+import psutil
+import pytest
+from conftest import ROOT
+from test_case import written
+from test_run_script import ENVIRONMENT
+
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.fleet.attended import attended
+from vehicle_sbi.fleet.engine import Engine, each
+from vehicle_sbi.fleet.vehicles import members
+
+OPTIONS = (
+    'options=["vehicle=paper","recording.drive=speed","recording.channels=[a_x,a_y,yaw_rate]",'
+    '"++prior.steering_ratio.gain=null"]'
+)
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "scripts/fleet.py", "figures=false", OPTIONS, *arguments]
+
+
+def fleet(*arguments: str) -> tuple[int, str, str]:
+    done = subprocess.run(command(*arguments), cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two cars: one with roll and a recording held out, one a single file."""
+    folder = tmp_path_factory.mktemp("fleet") / "recordings"
+    (folder / "rolls" / "heldout").mkdir(parents=True)
+    written(folder / "rolls" / "a.csv", 0, body_roll__gradient=0.012)
+    written(folder / "rolls" / "heldout" / "b.csv", 1, body_roll__gradient=0.012)
+    written(folder / "stiff.csv", 2)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def alone(recordings: Path) -> Path:
+    """The fleet on this machine."""
+    out = recordings.parent / "alone"
+    status, said, err = fleet(f"folder={recordings}", f"hydra.run.dir={out}")
+    assert status == 0, err
+    assert "| rolls | 1 | answered |" in said
+    assert said.rstrip().endswith(str(out / "index.html"))
+    return out
+
+
+def verdicts(out: Path) -> dict[str, bytes]:
+    return {name: (out / name / "verdict.json").read_bytes() for name in ("rolls", "stiff")}
+
+
+# --- what a folder holds --------------------------------------------------------------------------------------------
+
+
+def touched(folder: Path, *names: str) -> Path:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    return folder
+
+
+def test_a_subfolder_is_a_vehicle_and_so_is_a_file(tmp_path: Path) -> None:
+    touched(
+        tmp_path, "vehicle.yaml", "a/1.csv", "a/2.mcap", "a/heldout/3.csv", "a/vehicle.yaml", "b.csv",
+        "b.mapping.yaml", "notes.md", "c/readme.txt.bak", "d/bag/metadata.yaml", ".hidden.csv",
+    )  # fmt: skip
+    a, b, d = members(tmp_path)
+    assert (a.name, b.name, d.name) == ("a", "b", "d")
+    assert [path.name for path in a.recordings] == ["1.csv", "2.mcap"]
+    assert [path.name for path in a.heldout] == ["3.csv"]
+    assert (a.vehicle, b.vehicle) == (tmp_path / "a" / "vehicle.yaml", tmp_path / "vehicle.yaml")
+    assert b.mapping == tmp_path / "b.mapping.yaml"
+    assert [path.name for path in d.recordings] == ["bag"]
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [((), "no recordings here or in subfolders"), (("a.csv", "a.mcap"), "two vehicles are called a; rename one")],
+)
+def test_a_folder_without_vehicles_is_refused(tmp_path: Path, files: tuple[str, ...], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        members(touched(tmp_path, *files))
+    with pytest.raises(InputError, match="no such folder"):
+        members(tmp_path / "none")
+
+
+# --- one table ------------------------------------------------------------------------------------------------------
+
+
+def test_the_table_has_a_row_for_each_vehicle_with_what_its_verdict_says(alone: Path) -> None:
+    table = pd.read_csv(alone / "fleet.csv").set_index("vehicle")
+    assert [*table.index] == ["rolls", "stiff"]
+    for name, row in table.iterrows():
+        verdict = json.loads((alone / str(name) / "verdict.json").read_text())
+        said = verdict["base_parameters"]["l_f"]["after"]
+        assert row["l_f"] == pytest.approx(said["mean"], rel=1e-5)
+        assert row["l_f_q05"] == pytest.approx(said["q05"], rel=1e-5)
+        assert row["headline"] == verdict["headline"]
+    assert "body_roll" in str(table.loc["rolls", "missing"])
+    page = (alone / "index.html").read_text()
+    assert all(name in page for name in table.index)
+
+
+def test_what_stands_is_not_done_again_and_what_is_damaged_is(recordings: Path, alone: Path) -> None:
+    before = verdicts(alone)
+    (alone / "stiff" / "verdict.json").write_text("{}")
+    times = {name: (alone / name / "manifest.json").stat().st_mtime_ns for name in before}
+    status, _, err = fleet(f"folder={recordings}", f"hydra.run.dir={alone}")
+    assert status == 0, err
+    assert verdicts(alone) == before
+    assert (alone / "rolls" / "manifest.json").stat().st_mtime_ns == times["rolls"]
+    assert (alone / "stiff" / "manifest.json").stat().st_mtime_ns != times["stiff"]
+
+
+def test_a_vehicle_that_fails_costs_its_own_row_alone(recordings: Path, tmp_path: Path, alone: Path) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    (folder / "bad.csv").write_text("time,steering\n1,2\n")
+    (folder / "stiff.csv").write_bytes((recordings / "stiff.csv").read_bytes())
+    status, said, err = fleet(f"folder={folder}", f"hydra.run.dir={tmp_path / 'out'}")
+    assert status == 2
+    assert "| stiff | 1 | answered |" in said
+    assert err.count("error: ") == 1
+    assert err.splitlines()[-1].startswith(f"error: bad: {folder}/bad.csv: ")
+
+
+@pytest.mark.parametrize(
+    ("argument", "said"),
+    [
+        ("workers=0", "workers = 0; it must be a whole number above 0"),
+        ("scheduler=tcp://127.0.0.1:1", "scheduler = tcp://127.0.0.1:1: only engine=dask has one"),
+    ],
+)
+def test_a_wrong_value_gets_one_line(recordings: Path, tmp_path: Path, argument: str, said: str) -> None:
+    status, out, err = fleet(f"folder={recordings}", f"hydra.run.dir={tmp_path / 'out'}", argument)
+    assert (status, out, err) == (2, "", f"error: {said}\n")
+    assert not (tmp_path / "out").exists()
+
+
+# --- processes and machines that die --------------------------------------------------------------------------------
+
+
+def until(happened: Callable[[], object], seconds: float = 120.0) -> None:
+    end = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+def test_a_script_ends_with_the_process_that_attends_it(tmp_path: Path) -> None:
+    sleeping, pid = tmp_path / "sleeping.py", tmp_path / "pid"
+    sleeping.write_text(
+        f"import os, pathlib, time\npathlib.Path({str(pid)!r}).write_text(str(os.getpid()))\ntime.sleep(99)"
+    )
+    words = f"attended(Path({str(sleeping)!r}), [], Path({str(tmp_path / 'log')!r}), 99.0)"
+    code = f"from pathlib import Path; from vehicle_sbi.fleet.attended import attended; {words}"
+    parent = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT)
+    until(lambda: pid.exists() and pid.read_text())
+    parent.kill()
+    parent.wait()
+    until(lambda: not psutil.pid_exists(int(pid.read_text())), 10.0)
+    assert attended(sleeping, [], tmp_path / "log", 1.0) is None
+    assert "stopped after 1 s" in (tmp_path / "log").read_text()
+
+
+@contextmanager
+def cluster(workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """The address of a Dask scheduler, and its process and those of its workers, as if on machines of their own."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+
+    def started(module: str, *words: str) -> subprocess.Popen[bytes]:
+        asked = [sys.executable, "-m", f"distributed.cli.{module}", *words, "--no-dashboard"]
+        environment = ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
+        return subprocess.Popen(asked, env=environment, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    scheduler = started("dask_scheduler", "--host", address)
+    own = [started("dask_worker", address, "--nthreads", "1", "--no-nanny") for _ in range(workers)]
+    try:
+        yield address, [scheduler, *own]
+    finally:
+        for process in (*own, scheduler):
+            process.kill()
+            process.wait()
+
+
+def asked_of(address: str, recordings: Path, out: Path) -> subprocess.Popen[str]:
+    """The fleet on a cluster, once its diagnoses have begun."""
+    words = command(f"folder={recordings}", f"hydra.run.dir={out}", "engine=dask", f"scheduler={address}")
+    running = subprocess.Popen(
+        words, cwd=ROOT, env=ENVIRONMENT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    until(lambda: running.poll() is not None or all((out / name / "stages").exists() for name in ("rolls", "stiff")))
+    return running
+
+
+def test_a_worker_that_is_killed_changes_no_number(recordings: Path, alone: Path, tmp_path: Path) -> None:
+    with cluster(workers=2) as (address, (_, worker, _)):
+        running = asked_of(address, recordings, tmp_path / "out")
+        worker.kill()
+        _, err = running.communicate()
+    assert running.returncode == 0, err
+    assert verdicts(tmp_path / "out") == verdicts(alone)
+
+
+def test_a_scheduler_that_is_lost_ends_in_one_line_and_the_same_command_goes_on(
+    recordings: Path, alone: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    with cluster(workers=2) as (address, (scheduler, *_)):
+        running = asked_of(address, recordings, out)
+        scheduler.kill()
+        said, err = running.communicate()
+    assert (running.returncode, said) == (2, "")
+    assert err == f"error: the scheduler {address} is lost; the same command goes on with what is left\n"
+    status, _, err = fleet(f"folder={recordings}", f"hydra.run.dir={out}")
+    assert status == 0, err
+    assert verdicts(out) == verdicts(alone)
+
+
+@pytest.mark.slow
+def test_a_cluster_of_this_machine_s_own_finds_the_same(recordings: Path, alone: Path, tmp_path: Path) -> None:
+    status, _, err = fleet(f"folder={recordings}", f"hydra.run.dir={tmp_path / 'out'}", "engine=dask")
+    assert status == 0, err
+    assert verdicts(tmp_path / "out") == verdicts(alone)
+
+
+def test_a_scheduler_that_does_not_answer_gets_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vehicle_sbi.fleet.engine.CONNECTED_S", 1.0)
+    address = "tcp://127.0.0.1:9"
+    with pytest.raises(InputError, match=f"scheduler = {address}: nothing answers there"):
+        list(each(Engine(name="dask", scheduler=address), str, [1]))
+
+
+def test_the_error_of_a_job_is_not_taken_for_one_of_the_engine() -> None:
+    with pytest.raises(ZeroDivisionError):
+        list(each(Engine(), lambda job: 1 // job, [0]))

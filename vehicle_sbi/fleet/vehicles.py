@@ -1,0 +1,84 @@
+"""Whose recordings a folder holds: a subfolder for each vehicle, or a file.
+
+FOLDER/NAME/*.csv …          recordings of the vehicle NAME, those in FOLDER/NAME/heldout/ held out
+FOLDER/NAME.csv              one recording of the vehicle NAME
+vehicle.yaml, mapping.yaml   in a subfolder its own, in FOLDER those of all that have none
+NAME.vehicle.yaml, NAME.mapping.yaml   of a single file, as `inspect` writes them
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from vehicle_sbi.data.formats.registry import FORMATS
+from vehicle_sbi.errors import InputError
+
+HELD_OUT = "heldout"
+DESCRIBED = ("vehicle", "mapping")  # by a file of each
+
+
+@dataclass(frozen=True, kw_only=True)
+class Member:
+    """A vehicle of a fleet: its recordings, and what describes it (None: what the options say)."""
+
+    name: str
+    recordings: tuple[Path, ...]
+    heldout: tuple[Path, ...] = ()
+    vehicle: Path | None = None
+    mapping: Path | None = None
+
+    @property
+    def words(self) -> list[str]:
+        """What a diagnosis is asked on its command line."""
+        described = {name: getattr(self, name) for name in DESCRIBED}
+        return [
+            _listed("recordings", self.recordings),
+            *([_listed("heldout", self.heldout)] if self.heldout else []),
+            *(f"{name}={path}" for name, path in described.items() if path is not None),
+        ]
+
+
+def members(folder: Path) -> list[Member]:
+    """Every vehicle of a folder by name; InputError where there is none, or where two have the same name."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    entries = sorted(path for path in folder.resolve().iterdir() if not path.name.startswith("."))
+    found = [one for path in entries if (one := _member(path, folder.resolve())) is not None]
+    if not found:
+        raise InputError(f"{folder}: no recordings here or in subfolders; what is read: {', '.join(FORMATS)}")
+    names = [one.name for one in found]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError(f"{folder}: two vehicles are called {twice[0]}; rename one of them")
+    return found
+
+
+def _member(path: Path, fleet: Path) -> Member | None:
+    """The vehicle of a subfolder or of a file, if there is any."""
+    if path.is_dir() and not _is_recording(path):
+        recordings = _recordings(path)
+        vehicle, mapping = (_first(path / f"{name}.yaml", fleet / f"{name}.yaml") for name in DESCRIBED)
+        heldout = _recordings(path / HELD_OUT)
+        found = Member(name=path.name, recordings=recordings, heldout=heldout, vehicle=vehicle, mapping=mapping)
+        return found if recordings else None
+    if not _is_recording(path):
+        return None
+    vehicle, mapping = (_first(path.with_suffix(f".{name}.yaml"), fleet / f"{name}.yaml") for name in DESCRIBED)
+    return Member(name=path.stem, recordings=(path,), vehicle=vehicle, mapping=mapping)
+
+
+def _is_recording(path: Path) -> bool:
+    """Whether a file is of a known format, or a folder a rosbag2."""
+    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in FORMATS
+
+
+def _recordings(folder: Path) -> tuple[Path, ...]:
+    return tuple(sorted(path for path in folder.iterdir() if _is_recording(path))) if folder.is_dir() else ()
+
+
+def _first(*paths: Path) -> Path | None:
+    return next((path for path in paths if path.is_file()), None)
+
+
+def _listed(key: str, paths: tuple[Path, ...]) -> str:
+    """`key=['a','b']` as Hydra reads it, whatever is in the names."""
+    quoted = ("'" + str(path).replace("\\", "\\\\").replace("'", "\\'") + "'" for path in paths)
+    return f"{key}=[{','.join(quoted)}]"
