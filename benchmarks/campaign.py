@@ -103,7 +103,7 @@ class Task:
 
 def work(plain: Mapping[str, Any]) -> str:
     """One case through the stages that are asked for, a `Task` in plain data; what went wrong, or nothing."""
-    task = Task(**plain | {"by": Diagnoser(**plain["by"])})
+    task = Task(**{**plain, "by": Diagnoser(**plain["by"])})
     folder, mix, index, by = task.folder, task.mix, task.index, task.by
     case, sealed = folder / "cases" / f"{index:04d}", folder / "sealed" / f"{index:04d}.json"
     try:

@@ -36,7 +36,7 @@ def strip() -> None:
     balance.road_grade = njit(lambda p, t: 0.0)
     balance.roll_steer = njit(lambda p, a_y: 0.0)
     balance.steering_compliance = njit(lambda p, F_yf: 0.0)
-    single_track.tyre_force = njit(
+    single_track.axle_force = njit(
         lambda p, C_kappa, C_alpha, mu, F_z, load, kappa, tan_alpha, a_y: dugoff(
             C_kappa, C_alpha, mu, F_z, kappa, tan_alpha
         )

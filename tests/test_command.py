@@ -1,5 +1,6 @@
 """The console command: its verbs are the scripts, and take the scripts' words."""
 
+import os
 import subprocess
 import sys
 
@@ -54,3 +55,12 @@ def test_the_value_of_a_flag_is_no_recording() -> None:
 def test_completion_is_a_script_that_bash_reads() -> None:
     checked = subprocess.run(["bash", "-n"], input=completion(), text=True, capture_output=True)
     assert checked.returncode == 0, checked.stderr
+
+
+def test_a_reader_that_stops_reading_gets_no_traceback() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    code = "import sys; from vehicle_sbi.command import main; sys.argv = ['vehicle-sbi', '--help']; main()"
+    done = subprocess.run([sys.executable, "-c", code], stdout=writing, stderr=subprocess.PIPE)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (128 + 13, b"")

@@ -220,12 +220,18 @@ def test_an_interruption_says_how_to_go_on(folder: Path) -> None:
     assert "the same command continues" in done.stderr
 
 
-@pytest.mark.parametrize("launcher", ["basic", "joblib"])
+@pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])
 def test_a_sweep_names_the_job_that_fails_and_runs_the_others(folder: Path, launcher: str) -> None:
     done = run(folder, "-m", "rounds.count=1,0,2", f"hydra/launcher={launcher}")
     assert done.returncode == 2
     assert done.stderr == "error: job rounds.count=0: rounds.count = 0: must be at least 1\n"
-    assert {path.name for path in folder.glob("outputs/sweep/*/")} == {"rounds.count-1", "rounds.count-2"}
+    assert {path.name for path in folder.glob("outputs/sweep/[!.]*/")} == {"rounds.count-1", "rounds.count-2"}
+
+
+def test_a_sweep_for_slurm_gets_one_line_where_there_is_none(folder: Path) -> None:
+    done = run(folder, "-m", "rounds.count=1,2", "hydra/launcher=submitit_slurm", PATH="")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "error: hydra/launcher=submitit_slurm needs a SLURM cluster: there is no srun here\n"
 
 
 def test_a_script_without_arguments_runs_with_its_defaults(folder: Path) -> None:

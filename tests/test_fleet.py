@@ -86,6 +86,17 @@ def test_a_subfolder_is_a_vehicle_and_so_is_a_file(tmp_path: Path) -> None:
     assert [path.name for path in d.recordings] == ["bag"]
 
 
+def test_a_vehicle_may_have_options_of_its_own(tmp_path: Path) -> None:
+    touched(tmp_path, "a/1.csv", "b.csv")
+    (tmp_path / "a" / "options.yaml").write_text("- window_s=5\n- recording.drive=torque\n")
+    a, b = members(tmp_path)
+    assert a.words == [f"recordings=['{tmp_path}/a/1.csv']", "window_s=5", "recording.drive=torque"]
+    assert b.words == [f"recordings=['{tmp_path}/b.csv']"]
+    (tmp_path / "options.yaml").write_text("window_s: 5\n")
+    with pytest.raises(InputError, match=r"options.yaml: it must be a list of options, `- window_s=5` a line"):
+        members(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("files", "said"),
     [((), "no recordings here or in subfolders"), (("a.csv", "a.mcap"), "two vehicles are called a; rename one")],

@@ -78,8 +78,16 @@ VERBS: Mapping[str, Verb] = {
 
 
 def main() -> None:
-    """Run the verb that the command line begins with."""
-    typed = sys.argv[1:]
+    """Run the verb that the command line begins with; status 141 where nobody reads on, as `head` does not."""
+    try:
+        _main(sys.argv[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more is written as Python ends
+        sys.exit(128 + 13)  # as if SIGPIPE had ended it
+
+
+def _main(typed: Sequence[str]) -> None:
     name = typed[0] if typed else "--help"
     if name in ("--help", "-h", "help"):
         print(overview())

@@ -39,6 +39,7 @@ def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
                 print(help.text(task.__globals__["__doc__"] or "", config_name, Path(sys.argv[0]).stem))
                 return
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, instead of printing in its own way
+            os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))  # a sweep's jobs find what this finds
             try:
                 sys.argv[1:] = spelled_out(sys.argv[1:])
                 check_config_folders(sys.argv[1:])

@@ -42,6 +42,12 @@ def sentence(error: Exception) -> str | None:
 
 
 @sentence.register
+def _no_cluster(error: RuntimeError) -> str | None:
+    """What submitit says where there is no SLURM."""
+    return "hydra/launcher=submitit_slurm needs a SLURM cluster: there is no srun here" if "srun" in str(error) else None
+
+
+@sentence.register
 def _wrong_value(error: InputError) -> str:
     return _one_line(error)
 

@@ -9,31 +9,34 @@ NAME.vehicle.yaml, NAME.mapping.yaml   of a single file, as `inspect` writes the
 from dataclasses import dataclass
 from pathlib import Path
 
+from vehicle_sbi import plain_yaml
 from vehicle_sbi.data.formats.registry import FORMATS
 from vehicle_sbi.errors import InputError
 
 HELD_OUT = "heldout"
-DESCRIBED = ("vehicle", "mapping")  # by a file of each
+DESCRIBED = ("vehicle", "mapping", "options")  # by a file of each
 
 
 @dataclass(frozen=True, kw_only=True)
 class Member:
-    """A vehicle of a fleet: its recordings, and what describes it (None: what the options say)."""
+    """A vehicle of a fleet: its recordings, and what describes it (None: what the options of all say)."""
 
     name: str
     recordings: tuple[Path, ...]
     heldout: tuple[Path, ...] = ()
     vehicle: Path | None = None
     mapping: Path | None = None
+    options: tuple[str, ...] = ()
 
     @property
     def words(self) -> list[str]:
         """What a diagnosis is asked on its command line."""
-        described = {name: getattr(self, name) for name in DESCRIBED}
+        described = {"vehicle": self.vehicle, "mapping": self.mapping}
         return [
             _listed("recordings", self.recordings),
             *([_listed("heldout", self.heldout)] if self.heldout else []),
             *(f"{name}={path}" for name, path in described.items() if path is not None),
+            *self.options,
         ]
 
 
@@ -53,16 +56,33 @@ def members(folder: Path) -> list[Member]:
 
 def _member(path: Path, fleet: Path) -> Member | None:
     """The vehicle of a subfolder or of a file, if there is any."""
-    if path.is_dir() and not _is_recording(path):
-        recordings = _recordings(path)
-        vehicle, mapping = (_first(path / f"{name}.yaml", fleet / f"{name}.yaml") for name in DESCRIBED)
-        heldout = _recordings(path / HELD_OUT)
-        found = Member(name=path.name, recordings=recordings, heldout=heldout, vehicle=vehicle, mapping=mapping)
-        return found if recordings else None
-    if not _is_recording(path):
+    alone = _is_recording(path)
+    recordings = (path,) if alone else _recordings(path)
+    if not recordings:
         return None
-    vehicle, mapping = (_first(path.with_suffix(f".{name}.yaml"), fleet / f"{name}.yaml") for name in DESCRIBED)
-    return Member(name=path.stem, recordings=(path,), vehicle=vehicle, mapping=mapping)
+    vehicle, mapping, options = (
+        _first(path.with_suffix(f".{name}.yaml") if alone else path / f"{name}.yaml", fleet / f"{name}.yaml")
+        for name in DESCRIBED
+    )
+    return Member(
+        name=path.stem if alone else path.name,
+        recordings=recordings,
+        heldout=() if alone else _recordings(path / HELD_OUT),
+        vehicle=vehicle,
+        mapping=mapping,
+        options=_options(options),
+    )
+
+
+def _options(file: Path | None) -> tuple[str, ...]:
+    """The words of a file; InputError for anything else than a list of them."""
+    try:
+        words = [] if file is None else plain_yaml.load(file)
+    except plain_yaml.UnreadableYaml as error:
+        raise InputError(f"{file}: {error}") from None
+    if not (isinstance(words, list) and all(isinstance(word, str) and "=" in word for word in words)):
+        raise InputError(f"{file}: it must be a list of options, `- window_s=5` a line")
+    return tuple(words)
 
 
 def _is_recording(path: Path) -> bool:

@@ -165,7 +165,7 @@ CATALOGUE: Mapping[str, Effect] = {
         _effect("lateral_load_transfer", "tyre",
                 "an axle loses cornering stiffness, and its inner wheel slides first, as load moves to the outer one",
                 "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2), F_axle = F(F_z (1 + s)/2) + F(F_z (1 - s)/2) "
-                "of two wheels, s = sqrt(uneven) |v_x r|",
+                "of two wheels, s = sqrt(uneven) |v_x r| (the full vehicle has its own wheels' loads)",
                 f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2",
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0),
                 uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0)),

@@ -20,6 +20,7 @@ from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 
 WIDER = 1.5  # typical sizes by which effects are shrunk at first, before anything is known of which are there
+FIRST_STEPS = 6  # of Gauss-Newton from each of several starts, before the best goes on
 STEPS, NOISE_ROUNDS, NOISE_STEPS = 16, 2, 8  # of Gauss-Newton, of fit and noise, and of Gauss-Newton within those
 STIFFER = 1.4  # times the fitted stiffness, for which steps of the integrator are short enough
 STABLE = 2.0  # step times rate at most
@@ -112,37 +113,35 @@ class Expansion:
 
         Derivatives follow from steps, and are simulated at both ends.
         """
-        fit = self._descended(observation, start, rms, renewed=False)
-        return None if fit is None else relinearised(fit, fit.theta)
+        fit = self._descended(observation, start, rms, STEPS)
+        if fit is None:
+            return None
+        fit = with_own_noise(fit, NOISE_ROUNDS, NOISE_STEPS, secant=True)
+        return relinearised(fit, fit.theta)
 
     def likeliest(
         self, observation: Observation, starts: Sequence[Float[np.ndarray, " d"]], rms: Float[np.ndarray, " sizes"]
     ) -> Fit | None:
         """The likeliest point under shrinkage from several starts; None where the simulation fails at all of them.
 
-        The best of them goes on with derivatives that are simulated after each step: those that follow from steps often
-        end in a valley, tens of units of log likelihood below its bottom.
+        After a few steps from each the best goes on, in the end with derivatives that are simulated after every step:
+        those that follow from steps often end in a valley, tens of units of log likelihood below its bottom.
         """
-        fits = [fit for start in starts if (fit := self._descended(observation, start, rms, renewed=True)) is not None]
+        fits = [fit for start in starts if (fit := self._descended(observation, start, rms, FIRST_STEPS)) is not None]
         best = max(fits, key=_log_posterior, default=None)
         if best is None:
             return None
+        best = with_own_noise(onwards(best, STEPS, secant=True), NOISE_ROUNDS, NOISE_STEPS, secant=True)
         best = with_own_noise(onwards(relinearised(best, best.theta), STEPS), NOISE_ROUNDS, NOISE_STEPS)
         return relinearised(best, best.theta)
 
     def _descended(
-        self,
-        observation: Observation,
-        start: Float[np.ndarray, " d"],
-        rms: Float[np.ndarray, " sizes"],
-        *,
-        renewed: bool,
+        self, observation: Observation, start: Float[np.ndarray, " d"], rms: Float[np.ndarray, " sizes"], steps: int
     ) -> Fit | None:
-        """The end of a descent from one start, noise estimated there."""
+        """As far as so many steps go, with derivatives that follow from them."""
         space, pull = observation.simulator.space, Shrinkage(self.rest, self.precision(rms))
         start = np.clip(start, space.low, space.high)
-        fit = descend(observation, start, STEPS, pull, secant=True, renewed=renewed)
-        return None if fit is None else with_own_noise(fit, NOISE_ROUNDS, NOISE_STEPS, secant=True)
+        return descend(observation, start, steps, pull, secant=True, renewed=False)
 
 
 def _log_posterior(fit: Fit) -> float:
