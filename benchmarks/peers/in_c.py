@@ -23,9 +23,7 @@ class InC:
         subprocess.run(["cc", *FLAGS, str(SOURCE), "-o", str(library), "-lm"], check=True)
         self._simulate = ctypes.CDLL(str(library)).simulate
 
-    def __call__(
-        self, records: np.ndarray, v_0: np.ndarray, u: np.ndarray, rate: float, substeps: int
-    ) -> np.ndarray:
+    def __call__(self, records: np.ndarray, v_0: np.ndarray, u: np.ndarray, rate: float, substeps: int) -> np.ndarray:
         """Series (n, 5, time) of records (n,) with initial speeds (n,), driven by u (time, 3)."""
         vehicles = np.ascontiguousarray(np.stack([records[name] for name in CONSTANTS], axis=1), dtype=float)
         v_0, u = np.ascontiguousarray(v_0, dtype=float), np.ascontiguousarray(u, dtype=float)
