@@ -21,8 +21,8 @@ data.inspection.contents data.inspection.guess data.inspection.excitation data.i
 data.inspection.spoken data.inspection.written data.manoeuvre data.noise
 inference.prior inference.effect_prior inference.spike_slab inference.importance inference.simulator
 inference.information inference.setup inference.informative inference.embedding inference.emulator inference.features
-inference.estimator inference.training inference.proposal inference.rounds inference.reweighting inference.predictive
-inference.directions inference.plausible inference.study inference.calibration inference.repetition
+inference.estimator inference.training inference.proposal inference.doubts inference.rounds
+inference.reweighting inference.predictive inference.directions inference.plausible inference.study inference.calibration inference.repetition
 mismatch.problem.observation mismatch.problem.case mismatch.estimation.estimate mismatch.estimation.fit
 mismatch.estimation.model mismatch.estimation.elsewhere mismatch.estimation.multistart mismatch.estimation.base_fit
 mismatch.estimation.fit_check mismatch.estimation.linearised mismatch.estimation.expansion

@@ -11,6 +11,7 @@ from studies import PRIOR, constant_noise, simulator
 
 from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.doubts import disagreements
 from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Embedding, Features, Handcrafted, Score
 from vehicle_sbi.inference.information import best_fit, bound_std, fisher
@@ -24,7 +25,6 @@ from vehicle_sbi.inference.rounds import (
     Round,
     Scheme,
     Truncated,
-    disagreements,
     infer,
     one_round,
     posterior_of,
@@ -277,9 +277,9 @@ def test_rounds_whose_means_lie_far_apart_are_said_to_disagree(
 ) -> None:
     rng, space = np.random.default_rng(0), simulator().space
     means = iter([np.zeros(len(space)), np.array([moved, 0.0, 0.0])])
-    monkeypatch.setattr("vehicle_sbi.inference.rounds.draw", lambda *_: next(means) + rng.standard_normal((2000, 3)))
+    monkeypatch.setattr("vehicle_sbi.inference.doubts.draw", lambda *_: next(means) + rng.standard_normal((2000, 3)))
     both: Any = ("before", "last")
-    found = disagreements(Inference((), both), space)
+    found = disagreements(both, space)
     assert [name for name, _ in found] == told
     assert all(abs(far - moved) < 0.2 for _, far in found)  # 0.03 each from the mean and the deviation of 2000 draws
 

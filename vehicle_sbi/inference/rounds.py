@@ -26,13 +26,13 @@ from tqdm import tqdm
 
 from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.doubts import EXTRAPOLATED, TAIL, surprise, unlike
 from vehicle_sbi.inference.estimator import Builder, DensityEstimator, behind
 from vehicle_sbi.inference.features import Features, Summary
 from vehicle_sbi.inference.information import Laplace, laplace
 from vehicle_sbi.inference.proposal import Neighbourhood, Support, acceptance, box, draw, inside, truncated_prior
 from vehicle_sbi.inference.simulator import Simulator, succeeded
 from vehicle_sbi.inference.training import EpochSeen, Fit, Simulations, Training, fit
-from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.rng import Stream, generator, seed_torch
 
 CHUNK = 500  # simulations whose series are in memory at once, if they are short
@@ -42,11 +42,6 @@ FIDUCIAL_DRAWS = 5_000
 FIT_STARTS = 4  # of the fit that the first round proposes about
 LEAST_ACCEPTANCE = 1e-3
 LEAST_SIMULATIONS = 50
-QUANTILE_ROWS = 2_000  # simulations that tell a feature's range
-TAIL = 0.01  # of them at either end of it that it leaves out
-EXTRAPOLATED = 1.5  # surprise from which the recording counts as unlike the simulations
-COMPARED = 2_000  # draws of two rounds' posteriors, that say whether they agree
-DISAGREEING = 3.0  # standard deviations of the round before, by which a mean that moves contradicts it
 
 
 @dataclass(frozen=True)
@@ -328,7 +323,7 @@ def infer(
         path = checkpoints.kept(name) or one_round(problem, scheme, done, quiet=quiet).save(checkpoints, name)
         finished = Round.load(path)
         if finished.surprise > EXTRAPOLATED and all(one.surprise <= EXTRAPOLATED for one in done.rounds):
-            warn([f"round {k + 1} of {scheme.rounds}: {unlike(finished)}"])
+            warn([f"round {k + 1} of {scheme.rounds}: {unlike(finished.surprise)}"])
         done = Inference((*done.rounds, finished), (*done.posteriors, posterior_of(problem, finished)))
     return done
 
@@ -336,25 +331,6 @@ def infer(
 def file_of(k: int) -> str:
     """Where round k is kept in a run's folder."""
     return f"rounds/round_{k}.pt"
-
-
-def unlike(round: Round) -> str:
-    """How far the recording lies outside of what a round simulated, in a sentence."""
-    return (
-        f"the recording lies outside what was simulated ({round.surprise:.1f} times the half width of a feature's "
-        "range): the network extrapolates. Steering, speed or a stated constant may be wrong, or the model lacks "
-        "something: `diagnose` says what."
-    )
-
-
-def disagreements(inference: Inference, space: ParameterSpace) -> list[tuple[str, float]]:
-    """Parameters whose posterior mean the last round moved too far, and how far in standard deviations of the round
-    before: where both are right, a later posterior lies within the earlier one."""
-    if len(inference.posteriors) < 2:
-        return []
-    before, last = (draw(posterior, space, COMPARED) for posterior in inference.posteriors[-2:])
-    moved = np.abs(last.mean(axis=0) - before.mean(axis=0)) / before.std(axis=0)
-    return [(name, float(far)) for name, far in zip(space.names, moved, strict=True) if far > DISAGREEING]
 
 
 def fiducial_point(problem: Problem, before: Inference) -> Float[np.ndarray, " d"]:
@@ -408,19 +384,6 @@ def one_round(problem: Problem, scheme: Scheme, before: Inference, *, quiet: boo
         surprise=surprise(torch.cat([d.x for d in data]), x_o, tail=0.0 if len(simulator.plausible) else TAIL),
     )
     return replace(finished, acceptance=acceptance(posterior_of(problem, finished), simulator.space))
-
-
-def surprise(x: Tensor, x_o: Tensor, tail: float = TAIL) -> float:
-    """How far x_o lies outside what was simulated: its largest distance beyond the middle 98 % of a feature.
-
-    In units of that range's half width: below 1 inside it, well above 1 where the network has to extrapolate, because
-    the model can hardly produce what was recorded. Effects that few cars have are in the tails: with those free the
-    range leaves none out.
-    """
-    flat, at = x.reshape(len(x), -1), x_o.reshape(-1)
-    low, high = torch.quantile(flat[:QUANTILE_ROWS], torch.tensor([tail, 1.0 - tail]), dim=0)
-    half = (high - low).clamp_min(1e-12) / 2
-    return float(((at - (low + high) / 2).abs() / half).max())
 
 
 def fit_features(problem: Problem, theta: Sequence[np.ndarray], round: int, fiducial: np.ndarray) -> Summary:

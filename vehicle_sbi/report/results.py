@@ -10,11 +10,12 @@ from jaxtyping import Float
 
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.files import write_atomically
+from vehicle_sbi.inference.doubts import EXTRAPOLATED, disagreements, unlike
 from vehicle_sbi.inference.information import bound_std, confusable, fisher
 from vehicle_sbi.inference.predictive import Predictive, predictive
 from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.reweighting import posterior_draws
-from vehicle_sbi.inference.rounds import EXTRAPOLATED, Inference, Problem, disagreements, unlike
+from vehicle_sbi.inference.rounds import Inference, Problem
 from vehicle_sbi.inference.simulator import STIFFNESSES
 from vehicle_sbi.inference.study import Prepared
 from vehicle_sbi.parameters import ParameterSpace
@@ -201,8 +202,8 @@ def round_warnings(inference: Inference, table: pd.DataFrame, space: ParameterSp
     if last.acceptance < LEAKING:
         warnings.append(f"The last round leaks: only {last.acceptance:.0%} of its density lies inside the prior.")
     if last.surprise > EXTRAPOLATED:
-        warnings.append(f"Last round: {unlike(last)}")
-    moved = [f"{name} by {far:.1f}" for name, far in disagreements(inference, space)]
+        warnings.append(f"Last round: {unlike(last.surprise)}")
+    moved = [f"{name} by {far:.1f}" for name, far in disagreements(inference.posteriors, space)]
     if moved:
         warnings.append(
             f"The last two rounds disagree: the mean moved of {', '.join(moved)} standard deviations of the round "
