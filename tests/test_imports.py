@@ -22,7 +22,8 @@ data.inspection.spoken data.inspection.written data.manoeuvre data.noise
 inference.prior inference.effect_prior inference.spike_slab inference.importance inference.simulator
 inference.information inference.setup inference.informative inference.embedding inference.emulator inference.features
 inference.estimator inference.training inference.proposal inference.doubts inference.rounds
-inference.reweighting inference.predictive inference.directions inference.plausible inference.study inference.calibration inference.repetition
+inference.reweighting inference.predictive inference.directions inference.plausible inference.study
+inference.calibration inference.repetition
 mismatch.problem.observation mismatch.problem.case mismatch.estimation.estimate mismatch.estimation.fit
 mismatch.estimation.model mismatch.estimation.elsewhere mismatch.estimation.multistart mismatch.estimation.base_fit
 mismatch.estimation.fit_check mismatch.estimation.linearised mismatch.estimation.expansion
@@ -36,9 +37,9 @@ mismatch.design.experiment mismatch.answer.schema mismatch.answer.wording mismat
 report.manifest report.run_folder report.stage_file report.tables report.density report.figures
 report.mismatch_figures report.netcdf report.catalogue report.card report.extended report.page.thinning
 report.page.charts report.page.parts report.page.page report.page.series report.page.diagnosis report.page.run
-report.page.index report.results report.diagnosis report.observability report.export.exported report.export.car
-report.export.writing report.export.reading report.export.autoware report.export.openpilot report.export.commonroad
-report.export.plain_json report.export.export report.calibration
+report.calibration report.page.index report.results report.diagnosis report.observability report.export.exported
+report.export.car report.export.writing report.export.reading report.export.autoware report.export.openpilot
+report.export.commonroad report.export.plain_json report.export.export
 fleet.vehicles fleet.attended fleet.engine fleet.diagnoses fleet.table
 command api
 """.split()

@@ -12,7 +12,7 @@ from test_report import PNG, finished_run, table
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.report.page import parts
-from vehicle_sbi.report.page.index import BROKEN, COMPLETE, DIAGNOSIS, RUN, UNFINISHED, rows, write_index
+from vehicle_sbi.report.page.index import BROKEN, CALIBRATION, COMPLETE, DIAGNOSIS, RUN, UNFINISHED, rows, write_index
 from vehicle_sbi.report.page.page import Page, write_page
 from vehicle_sbi.report.page.parts import Listed, Picture, Section, Table, Words
 from vehicle_sbi.report.page.run import headline
@@ -177,6 +177,13 @@ def diagnosis_folder(path: Path, headline: str) -> None:
         folder.complete()
 
 
+def calibration_folder(path: Path) -> None:
+    with RunFolder.open(path, config={}, overrides=[], inputs={}) as folder:
+        rows = {"name": ["l_f", "h_cog"], "n": [100, 100], "verdict": ["consistent", "too narrow"]}
+        pd.DataFrame(rows).to_csv(path / "calibration.csv", index=False)
+        folder.complete()
+
+
 def test_an_index_has_a_row_for_whatever_lies_there(tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     finished_run(runs / "told", table(), 0)
@@ -184,20 +191,22 @@ def test_an_index_has_a_row_for_whatever_lies_there(tmp_path: Path) -> None:
     (runs / "damaged" / "table.csv").write_text("")
     diagnosis_folder(runs / "a car", f"Missing: {HOSTILE}.")
     RunFolder.open(runs / "killed", config={}, overrides=[], inputs={}).close()
+    calibration_folder(runs / "calibrated")
     (runs / "foreign").mkdir()
     (runs / "foreign" / "manifest.json").write_text("[]")
     found = {row.path.name: row for row in rows([runs, runs / "told"])}
     assert {name: (row.kind, row.status) for name, row in found.items()} == {
         "told": (RUN, COMPLETE), "damaged": (RUN, BROKEN), "a car": (DIAGNOSIS, COMPLETE),
-        "killed": (RUN, UNFINISHED), "foreign": (RUN, BROKEN),
+        "killed": (RUN, UNFINISHED), "foreign": (RUN, BROKEN), "calibrated": (CALIBRATION, COMPLETE),
     }  # fmt: skip
     assert found["told"].headline == "The recording identifies 2 of 3 parameters."
+    assert found["calibrated"].headline == "1 of 2 parameters consistent with 100 truths; h_cog too narrow."
     assert "damaged or missing" in found["damaged"].headline
     write_index(tmp_path / "report" / "index.html", [*found.values()])
     text = (tmp_path / "report" / "index.html").read_text()
     assert 'href="../runs/a%20car/report.html"' in text
     assert HOSTILE not in text
-    assert "1 diagnosis and 4 runs, of which 1 unfinished and 2 broken." in text
+    assert "1 diagnosis, 4 runs and 1 calibration, of which 1 unfinished and 2 broken." in text
 
 
 def test_an_index_refuses_a_folder_without_runs(tmp_path: Path) -> None:

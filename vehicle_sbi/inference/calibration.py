@@ -21,6 +21,7 @@ from torch import Tensor
 LEVELS = (0.5, 0.8, 0.9)  # of the central intervals that are counted
 JUDGED = 0.9  # the level whose count gives the verdict
 ACCEPTED_FALSE = 0.05  # chance that any rank test of a calibrated study fails
+REPEATED = "recordings"  # folder of a run that keeps whole studies
 CONSISTENT, NARROW, WIDE = "consistent", "too narrow", "too wide"
 PER_BIN = 10  # recordings in a bin of TARP's histogram, as sbi has it
 LEAST_BINS = 4

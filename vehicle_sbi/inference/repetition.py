@@ -28,7 +28,7 @@ from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.data.manoeuvre import Synthetic
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_text
-from vehicle_sbi.inference.calibration import Calibration, by_sbi, ranks
+from vehicle_sbi.inference.calibration import REPEATED, Calibration, by_sbi, ranks
 from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.reweighting import posterior_draws
 from vehicle_sbi.inference.rounds import (
@@ -45,7 +45,6 @@ from vehicle_sbi.inference.simulator import use_cores
 from vehicle_sbi.inference.study import Prepared, Study
 from vehicle_sbi.rng import Stream, generator, seed_torch
 
-FOLDER = "recordings"
 MANY, SEVERAL = 200, 100  # recordings of an amortised study, and of one that is repeated whole
 FEWEST = 20  # recordings from which sbi's tests can be made
 MOST_TRUTHS = 20  # that are drawn for one recording, until the vehicle does not spin out
@@ -155,7 +154,7 @@ def by_whole_studies(
     study: Study, scheme: Scheme, names: tuple[str, ...], asked: Repetitions, checkpoints: Checkpoints
 ) -> Calibration:
     """Every repetition that is not on disk yet is made; one that is damaged is made anew."""
-    n, files = asked.of(scheme), checkpoints.folder / FOLDER
+    n, files = asked.of(scheme), checkpoints.folder / REPEATED
     missing = [i for i in range(n) if not checkpoints.kept(file_of(i))]
     work = partial(repeat, study, scheme, samples=asked.samples, reweight=asked.reweight, folder=files)
     with tqdm(total=n, initial=n - len(missing), desc="studies", unit="study", disable=None) as bar:
@@ -170,7 +169,7 @@ def by_whole_studies(
 
 def file_of(i: int) -> str:
     """Where repetition i is kept in a run's folder."""
-    return f"{FOLDER}/{i:04d}.json"
+    return f"{REPEATED}/{i:04d}.json"
 
 
 def load(path: Path) -> Repetition:

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from scipy.stats import binom
 
 from vehicle_sbi.files import write_text
-from vehicle_sbi.inference.calibration import JUDGED, LEVELS, Calibration, proportion
+from vehicle_sbi.inference.calibration import CONSISTENT, JUDGED, LEVELS, Calibration, proportion
 from vehicle_sbi.report.figures import POSTERIOR, PRIOR, PRIOR_EDGE, STYLE, key, save
 from vehicle_sbi.report.run_folder import RunFolder
 from vehicle_sbi.report.tables import markdown, symbol
@@ -26,6 +26,7 @@ LEGEND = (
     "By chance about one in twenty parameters of a calibrated study is called too narrow or too wide.",
 )
 OF_CLASSIFIER = "rank c2st: how often a classifier tells the ranks from uniform ones; 0.5 is chance."
+TABLE = "calibration.csv"
 BAND = (0.025, 0.975)  # quantiles of what a calibrated posterior leads to
 CURVE = np.linspace(0.02, 0.98, 49)  # nominal levels that are drawn
 PER_BIN, MOST_BINS, LEAST_BINS = 10, 20, 4  # recordings in a bin of the histogram, and the number of bins
@@ -69,6 +70,13 @@ def said(table: pd.DataFrame) -> list[str]:
     ]
 
 
+def headline(table: pd.DataFrame) -> str:
+    """How many parameters are calibrated, and which are not, of how many truths."""
+    off = [f"{row['name']} {row['verdict']}" for row in table.to_dict("records") if row["verdict"] != CONSISTENT]
+    told = f"; {', '.join(off)}" if off else ""
+    return f"{len(table) - len(off)} of {len(table)} parameters consistent with {table['n'].max()} truths{told}."
+
+
 def page(table: pd.DataFrame, name: str, notes: list[str]) -> str:
     """calibration.md: verdicts, table, what its columns mean, and what else was found."""
     legend = [*LEGEND, *([OF_CLASSIFIER] if "c2st_ranks" in table else [])]
@@ -82,7 +90,7 @@ def report(folder: RunFolder, found: Calibration, name: str) -> None:
     """Write calibration.csv, .md and .png into the run folder, and mark it complete."""
     rows, notes = table(found), [*(found.joint.sentences() if found.joint else ()), *found.notes]
     folder.record(notes=notes)
-    write_text(folder.path / "calibration.csv", rows.to_csv(index=False))
+    write_text(folder.path / TABLE, rows.to_csv(index=False))
     write_text(folder.path / "calibration.md", page(rows, name, notes))
     figure(found, folder.path / "calibration.png")
     folder.complete()
@@ -90,7 +98,7 @@ def report(folder: RunFolder, found: Calibration, name: str) -> None:
 
 def show(folder: RunFolder) -> None:
     """Print the table of a finished calibration, its verdicts and notes, and the paths of what it wrote."""
-    rows = pd.read_csv(folder.path / "calibration.csv")
+    rows = pd.read_csv(folder.path / TABLE)
     print(markdown(for_people(rows)), *said(rows), sep="\n")
     for note in folder.manifest["facts"]["notes"]:
         print(f"  {note}")

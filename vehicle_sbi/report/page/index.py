@@ -7,14 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
+import pandas as pd
+
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import write_text
+from vehicle_sbi.inference.calibration import REPEATED
+from vehicle_sbi.report import calibration
 from vehicle_sbi.report.page.page import templates
 from vehicle_sbi.report.page.run import headline
 from vehicle_sbi.report.run_folder import FinishedRun, is_finished, read
 from vehicle_sbi.report.tables import read_table
 
-DIAGNOSIS, RUN = "diagnosis", "run"
+DIAGNOSIS, RUN, CALIBRATION = "diagnosis", "run", "calibration"
+PAGES = ("report.html", "calibration.md")
 COMPLETE, UNFINISHED, BROKEN = "complete", "unfinished", "broken"
 
 
@@ -32,8 +37,8 @@ class Row:
     @classmethod
     def of(cls, path: Path) -> "Row":
         """What a folder says of itself, whatever state it is in."""
-        report = path / "report.html"
-        page, kind = report if report.exists() else None, _kind(path)
+        page = next((path / name for name in PAGES if (path / name).exists()), None)
+        kind = _kind(path)
         try:
             if not is_finished(path):
                 return cls(path, kind, UNFINISHED, "The same command again continues it.", "", page)
@@ -78,13 +83,17 @@ def _manifests(folder: Path) -> list[Path]:
 
 
 def _kind(path: Path) -> str:
-    """A diagnosis keeps its stages, a run its rounds alone."""
+    """A diagnosis keeps its stages, a calibration what it has repeated, a run its rounds alone."""
+    if (path / calibration.TABLE).exists() or (path / REPEATED).exists():
+        return CALIBRATION
     return DIAGNOSIS if (path / "verdict.json").exists() or (path / "stages").exists() else RUN
 
 
 def _headline(run: FinishedRun, kind: str) -> str:
     if kind == DIAGNOSIS:
         return str(json.loads(run.file("verdict.json").read_bytes())["headline"])
+    if kind == CALIBRATION:
+        return calibration.headline(pd.read_csv(run.file(calibration.TABLE)))
     return headline(read_table(run.file("table.csv")))
 
 
@@ -102,10 +111,11 @@ def _counted(found: Sequence[Row]) -> str:
     """How many there are, and how many of them are not complete."""
     kinds = [
         f"{count} {kind if count == 1 else plural}"
-        for kind, plural in ((DIAGNOSIS, "diagnoses"), (RUN, "runs"))
+        for kind, plural in ((DIAGNOSIS, "diagnoses"), (RUN, "runs"), (CALIBRATION, "calibrations"))
         if (count := sum(row.kind == kind for row in found))
     ]
     odd = [
         f"{count} {status}" for status in (UNFINISHED, BROKEN) if (count := sum(row.status == status for row in found))
     ]
-    return " and ".join(kinds) + (f", of which {' and '.join(odd)}" if odd else "") + "."
+    together = " and ".join(filter(None, [", ".join(kinds[:-1]), kinds[-1]]))
+    return together + (f", of which {' and '.join(odd)}" if odd else "") + "."
