@@ -210,7 +210,9 @@ WRONG = {
     "epochs": ({"max_epochs": 1}, "max_epochs"),
     "stop": ({"stop_after_epochs": 0}, "stop_after_epochs"),
     "clip": ({"clip_max_norm": 0.0}, "clip_max_norm"),
+    "device": ({"device": "tpu"}, "unknown device 'tpu'; known: cpu, cuda"),
 }
+GPU = torch.cuda.is_available()
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -218,6 +220,20 @@ def test_bad_training_is_refused(case: str) -> None:
     given, message = WRONG[case]
     with pytest.raises(InputError, match=message):
         Training(**given)
+
+
+@pytest.mark.skipif(GPU, reason="there is a GPU")
+def test_a_gpu_that_is_not_there_gets_one_line() -> None:
+    with pytest.raises(InputError, match="device = cuda: PyTorch finds no CUDA GPU here"):
+        Training(device="cuda")
+
+
+@pytest.mark.skipif(not GPU, reason="no GPU")
+def test_a_gpu_finds_the_exact_posterior_and_hands_it_to_the_processor() -> None:
+    prior, theta = BoxUniform(LOW, HIGH), prior_draws(2000)
+    found = trained([Simulations(theta, simulated(theta, 1))], prior=prior, training=Training(device="cuda"))
+    assert {tensor.device.type for tensor in found.estimator.state_dict().values()} == {"cpu"}
+    assert_exact(posterior_of(found, prior), 4000)
 
 
 @pytest.mark.parametrize(("simulations", "epochs"), [(1000, 120), (5000, 69), (15_000, 23), (2_000_000, 2)])

@@ -11,14 +11,16 @@ import torch
 from sbi.inference import NPE_C
 from sbi.inference.posteriors import DirectPosterior
 from sbi.neural_nets.estimators.base import ConditionalDensityEstimator, ConditionalEstimatorBuilder
+from sbi.utils import BoxUniform
 from torch import Tensor
 from torch.distributions import Distribution
 from torch.optim.lr_scheduler import CosineAnnealingLR
 
-from vehicle_sbi.errors import InputError
+from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.inference.estimator import Builder, Embedded
 from vehicle_sbi.rng import Stream, seed_torch
 
+DEVICES = ("cpu", "cuda")
 EpochSeen = Callable[[int, float], None]
 
 
@@ -55,23 +57,25 @@ class NoTracker:
 
 
 class Npe(NPE_C):
-    """NPE-C with a learning rate that falls to zero as a cosine over `epochs`.
+    """NPE-C with a learning rate that falls to zero as a cosine over `epochs`, on a device of torch's.
 
     It calls `seen(epoch, validation_loss)` after every epoch.
     """
 
-    def __init__(self, prior: Distribution, build: Builder, seen: EpochSeen, epochs: int) -> None:
+    def __init__(self, prior: Distribution, build: Builder, seen: EpochSeen, epochs: int, device: str = "cpu") -> None:
         named = cast(
             ConditionalEstimatorBuilder[ConditionalDensityEstimator], build
         )  # sbi calls (theta, x) by position
-        super().__init__(prior=prior, density_estimator=named, tracker=NoTracker(), show_progress_bars=False)
+        super().__init__(
+            prior=prior, density_estimator=named, device=device, tracker=NoTracker(), show_progress_bars=False
+        )
         self._seen, self._epochs = seen, epochs
 
     def get_dataloaders(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, starting_round=0, training_batch_size=200, validation_fraction=0.1, *args, **kwargs
     ):
         """Batches by index for training and validation, in place of sbi's loaders."""
-        tensors = self.get_simulations(starting_round)
+        tensors = [tensor.to(self._device) for tensor in self.get_simulations(starting_round)]
         rows = torch.randperm(len(tensors[0]))
         training = int((1 - validation_fraction) * len(rows))
         self.train_indices, self.val_indices = rows[:training], rows[training:]
@@ -110,7 +114,8 @@ class Training:
     """How a network is trained in each round; `members` networks from different seeds make an ensemble.
 
     A round takes about `steps` gradient steps, whatever the number of its simulations, and at most `max_epochs`; it
-    stops earlier where the validation loss has not improved for `stop_after_epochs`, and keeps the best epoch.
+    stops earlier where the validation loss has not improved for `stop_after_epochs`, and keeps the best epoch. It is
+    trained on `device`, and comes back to the processor, where everything else is done.
     """
 
     batch_size: int = 200
@@ -123,8 +128,13 @@ class Training:
     atoms: int = 10
     discard_prior_samples: bool = False
     members: int = 1
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
+        if self.device not in DEVICES:
+            raise unknown("device", self.device, DEVICES, "training")
+        if self.device == "cuda" and not torch.cuda.is_available():
+            raise InputError("device = cuda: PyTorch finds no CUDA GPU here; device=cpu trains without one")
         if not (self.members >= 1 and self.batch_size >= 2 and self.atoms >= 2 and self.learning_rate > 0):
             raise InputError(
                 "training: members must be at least 1, batch_size and atoms at least 2, learning_rate positive"
@@ -180,7 +190,7 @@ def fit(
     """Train one network on all rounds; plain likelihood if every round came from the prior, else NPE-C's loss."""
     seed_torch(seed=seed, stream=Stream.TRAINING, round=round, index=member)
     epochs = training.epochs(sum(len(simulations.theta) for simulations in rounds))
-    trainer = Npe(prior, build, seen, epochs)
+    trainer = Npe(_on(training.device, prior), build, seen, epochs, training.device)
     for simulations in rounds:
         trainer.append_simulations(simulations.theta, simulations.x, proposal=simulations.proposal)
     estimator = trainer.train(
@@ -194,4 +204,12 @@ def fit(
         discard_prior_samples=training.discard_prior_samples,
     )
     summary = trainer.summary
-    return Fit(estimator, list(summary["training_loss"]), list(summary["validation_loss"]))
+    return Fit(estimator.to("cpu"), list(summary["training_loss"]), list(summary["validation_loss"]))
+
+
+def _on(device: str, prior: Distribution) -> Distribution:
+    """The prior on a device; itself on the processor, since sbi tells rounds apart by its identity."""
+    if device == "cpu":
+        return prior
+    box = cast(BoxUniform, prior).base_dist
+    return BoxUniform(box.low.to(device), box.high.to(device), device=device)
