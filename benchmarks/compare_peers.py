@@ -58,7 +58,7 @@ WARM_UP, KEPT = 300, 1000  # of NUTS
 def contenders() -> dict[str, tuple[int, Callable[[], object]]]:
     """How many simulations each makes in a turn, and how; all but CommonRoad's are checked to agree."""
     from vehicle_sbi.physics.sensors import GROUPS
-    from vehicle_sbi.physics.simulation import batch_simulator
+    from vehicle_sbi.physics.simulation import Motions, batch_simulator
     from vehicle_sbi.physics.single_track import DRIVES
 
     rng = np.random.default_rng(0)
@@ -73,7 +73,7 @@ def contenders() -> dict[str, tuple[int, Callable[[], object]]]:
     def ours() -> np.ndarray:
         outcomes = np.zeros(SIMULATED, np.int64)
         batch_simulator("single_track")(
-            cars.copy(), DRIVES["torque"], GROUPS.index("can"), inputs, *noise, *last, outcomes
+            cars.copy(), Motions.each(SIMULATED), DRIVES["torque"], GROUPS.index("can"), inputs, *noise, *last, outcomes
         )
         return y
 

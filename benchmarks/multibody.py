@@ -29,7 +29,7 @@ from vehiclemodels.parameters_vehicle3 import parameters_vehicle3
 
 from vehicle_sbi.physics.effects import RECORD, nominal_record
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, tilted
-from vehicle_sbi.physics.simulation import FINISHED, batch_simulator, substeps_for
+from vehicle_sbi.physics.simulation import FINISHED, Motions, batch_simulator, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.tyre import dugoff
 from vehicle_sbi.physics.vehicle import GRAVITY, Vehicle
@@ -164,7 +164,7 @@ def full_vehicle(p: Any, delta: np.ndarray, **effects: float) -> dict[str, np.nd
     substeps = np.array([substeps_for(record, "torque", 3.0, RATE, model="full_vehicle")])
     none, start = (np.zeros((1, 1, 4)), np.zeros((1, 1, 2))), np.array([[[SPEED, 0.0, 0.0]]])
     rows, groups = np.arange(len(MEASUREMENTS)), np.full(len(MEASUREMENTS), GROUPS.index("imu"))
-    driven = DRIVES["torque"], GROUPS.index("can"), u
+    driven = Motions.each(1), DRIVES["torque"], GROUPS.index("can"), u
     batch_simulator("full_vehicle")(record, *driven, *none, RATE, substeps, start, rows, groups, y, outcome)
     assert outcome[0] == FINISHED
     return {name: y[0, MEASUREMENTS.index(name)] for name in CHANNELS}

@@ -101,7 +101,7 @@ def contend(name: str, turns: Connection) -> None:
         if name == "bare":
             strip()
         from vehicle_sbi.physics.sensors import GROUPS
-        from vehicle_sbi.physics.simulation import batch_simulator
+        from vehicle_sbi.physics.simulation import Motions, batch_simulator
         from vehicle_sbi.physics.single_track import DRIVES
 
         rng = np.random.default_rng(0)
@@ -112,7 +112,8 @@ def contend(name: str, turns: Connection) -> None:
         fixed = (RATE, np.ones(1, np.int64), initial, np.arange(5), np.array([0, 0, 0, 2, 2]), y, outcomes)
         while turns.recv():
             p, start = records(rng), time.perf_counter()
-            batch_simulator(CONTENDERS[name])(p, DRIVES["torque"], GROUPS.index("can"), inputs(), *noise, *fixed)
+            driven = Motions.each(SIMULATIONS), DRIVES["torque"], GROUPS.index("can"), inputs()
+            batch_simulator(CONTENDERS[name])(p, *driven, *noise, *fixed)
             turns.send(time.perf_counter() - start)
             assert not outcomes.any()  # every simulation is finished
         turns.send(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)

@@ -9,7 +9,7 @@ from numba import njit
 
 from vehicle_sbi.physics.effects import RECORD, derive, nominal_record
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, MOTION
-from vehicle_sbi.physics.simulation import FINISHED, MODELS, batch_simulator, drive_through
+from vehicle_sbi.physics.simulation import FINISHED, MODELS, Motions, batch_simulator, drive_through
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS, TIME, U_LATENT
 from vehicle_sbi.physics.vehicle import Vehicle
 
@@ -169,6 +169,7 @@ def simulate(
     y, outcomes = np.empty((n, len(MEASUREMENTS), len(u))), np.full(n, -1)
     batch_simulator(model)(
         records.copy(),
+        Motions.each(n),
         DRIVES[drive],
         GROUPS.index(speed_group),
         u[np.newaxis],

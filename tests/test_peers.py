@@ -10,7 +10,7 @@ from peers.in_c import InC
 from peers.in_numpy import InNumpy
 
 from vehicle_sbi.physics.sensors import GROUPS
-from vehicle_sbi.physics.simulation import batch_simulator
+from vehicle_sbi.physics.simulation import Motions, batch_simulator
 from vehicle_sbi.physics.single_track import DRIVES
 
 N, TIME = 6, 400
@@ -26,7 +26,8 @@ def drives() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     initial, y = np.zeros((N, 1, 3)), np.empty((N, 5, TIME), np.float32)
     initial[:, 0, 0] = v_0
     batch_simulator("single_track")(
-        cars.copy(), DRIVES["torque"], GROUPS.index("can"), u, np.zeros((N, 1, 4)), np.zeros((N, 1, 2)), bench.RATE,
+        cars.copy(), Motions.each(N), DRIVES["torque"], GROUPS.index("can"), u,
+        np.zeros((N, 1, 4)), np.zeros((N, 1, 2)), bench.RATE,
         np.ones(1, np.int64), initial, np.arange(5), np.array([0, 0, 0, 2, 2]), y, np.zeros(N, np.int64),
     )  # fmt: skip
     return cars, v_0, np.ascontiguousarray(u[0][:, :3]), y

@@ -18,7 +18,7 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.spike_slab import SpikeAndSlab
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
-from vehicle_sbi.physics.simulation import FINISHED, batch_simulator
+from vehicle_sbi.physics.simulation import FINISHED, SENSOR_FIELDS, Motions, batch_simulator
 from vehicle_sbi.physics.single_track import DRIVES
 from vehicle_sbi.rng import Stream, generator
 
@@ -143,9 +143,10 @@ class Simulator:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Noise-free measurements (n, channels, time), NaN where a simulation failed, and outcomes (n,)."""
         y = np.empty((len(theta), *self.shape), dtype)
-        outcomes = np.zeros(len(theta), np.int64)
+        outcomes, records = np.zeros(len(theta), np.int64), self._records(theta, draws.effects)
         batch_simulator(self.model)(
-            self._records(theta, draws.effects),
+            records,
+            self._motions(records, draws),
             DRIVES[self.drive],
             GROUPS.index(self.windows.speed_group),
             self.windows.u,
@@ -160,6 +161,13 @@ class Simulator:
             outcomes,
         )
         return y, outcomes
+
+    def _motions(self, records: np.ndarray, draws: Draws) -> Motions:
+        """Differences by a sensor's parameter leave the motion as it is, which is then integrated once."""
+        free = (*self.space.parameters, *self.plausible.parameters)
+        if not any(name in SENSOR_FIELDS for p in free for name in p.fields):
+            return Motions.each(len(records))
+        return Motions.shared(records, DRIVES[self.drive], draws.stiffness, draws.inputs, draws.initial)
 
     def noise_free(self, theta: Float[np.ndarray, "n d"], eta: Float[np.ndarray, "n e"] | None = None) -> np.ndarray:
         """Measurements without noise (n, channels, time), nuisances at their means unless `eta` says otherwise."""

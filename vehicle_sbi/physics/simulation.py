@@ -7,13 +7,14 @@ import math
 from collections.abc import Callable, Mapping
 from functools import cache
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
 from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import derive, latent_sensor, latent_steering, steer, torques
+from vehicle_sbi.physics.effects import CATALOGUE, derive, latent_sensor, latent_steering, steer, torques
 from vehicle_sbi.physics.sensors import (
     MEASUREMENTS,
     MOTION,
@@ -30,6 +31,7 @@ from vehicle_sbi.physics.single_track import (
     T_F,
     T_R,
     TIME,
+    TORQUE,
     U_LATENT,
     U_OMEGA_F,
     U_OMEGA_R,
@@ -44,6 +46,14 @@ MODELS: Mapping[str, ModuleType] = {"single_track": single_track, "full_vehicle"
 V_X, V_Y = 0, 1  # the first states of every model
 
 FINISHED, SPUN_OUT, NOT_FINITE = 0, 1, 2
+SENSOR_FIELDS = frozenset(
+    name
+    for effect in CATALOGUE.values()
+    if effect.enters_at == "sensor"
+    for p in effect.parameters
+    for name in p.fields
+) | {"latent_sensor", "latent_row"}  # what sensors make of a motion
+REPORTED_FIELDS = frozenset(name for name in SENSOR_FIELDS if name.startswith(("sensor_lag", "sensor_delay")))
 RIGID = 4.0  # times the fastest mode without relaxation, from which a lag of that rate hardly changes it
 
 
@@ -163,7 +173,8 @@ def fail(y) -> None:
 @compiled_apart
 def simulate(
     model,
-    p,
+    records,
+    members,
     drive: int,
     speed_group: int,
     u,
@@ -176,43 +187,55 @@ def simulate(
     groups,
     y,
 ):
-    """One simulation over all windows: fill y (channels, windows * time), NaN if it fails; returns its outcome.
+    """One motion over all windows, as the sensors of each of its `members` read it; returns its outcome.
 
-    u (windows, time, 9), substeps (windows,), initial (windows, 3), channels and groups index MEASUREMENTS and GROUPS,
-    `speed_group` is the group of the speeds that drive the model.
+    `members` index records (n,) and y (n, channels, windows * time), which is NaN where the simulation fails; the first
+    of them drives. u (windows, time, 9), substeps (windows,), initial (windows, 3), channels and groups index
+    MEASUREMENTS and GROUPS, `speed_group` is the group of the speeds that drive the model.
     """
-    windows, time = u.shape[0], u.shape[1]
+    windows, time, p = u.shape[0], u.shape[1], records[members[0]]
     motion, reading = np.empty((time, len(MOTION))), np.empty((len(MEASUREMENTS), time))
     acting = np.empty((time, u.shape[2]))
-    derive(p)
+    for member in members:
+        derive(records[member])
     for w in range(windows):
         actuate(p, u[w], input_noise, rate, acting)
         measured_speeds(p, drive, speed_group, u[w], rate, acting)
         outcome = drive_through(model, p, drive, acting, stiffness_noise, 1.0 / rate, substeps[w], initial[w], motion)
         if outcome != FINISHED:
-            fail(y)
+            for member in members:
+                fail(y[member])
             return outcome
-        measure(p, motion, acting[:, TIME], rate, reading)
-        for i in range(len(channels)):
-            reported = y[i, w * time : (w + 1) * time]
-            report(p, reading[channels[i]], groups[i], channels[i], rate, reported)
-            if p.latent_sensor != 0.0:
-                for k in range(time):
-                    reported[k] += latent_sensor(p, channels[i], u[w, k, U_LATENT])
+        for member in members:
+            sense(records[member], motion, acting[:, TIME], rate, u[w], channels, groups, reading, y[member], w * time)
     return FINISHED
+
+
+@compiled_apart
+def sense(p, motion, t, rate: float, u, channels, groups, reading, y, first: int) -> None:
+    """Fill y (channels, all samples) from sample `first` on with what the sensors read of a motion in a window."""
+    time = len(t)
+    measure(p, motion, t, rate, reading)
+    for i in range(len(channels)):
+        reported = y[i, first : first + time]
+        report(p, reading[channels[i]], groups[i], channels[i], rate, reported)
+        if p.latent_sensor != 0.0:
+            for k in range(time):
+                reported[k] += latent_sensor(p, channels[i], u[k, U_LATENT])
 
 
 @cache
 def batch_simulator(model: str) -> Callable[..., None]:
-    """Simulations of one of MODELS in parallel, compiled when first called: a function of records (n,), the drive mode,
-    the group of its speeds, u (windows, time, 9), stiffness_noise (n, draws, 4), input_noise (n, draws, 2), rate [Hz],
-    substeps (windows,), initial (n, windows, 3), channels, groups, that fills y (n, channels, windows * time) and
-    outcomes (n,)."""
+    """Simulations of one of MODELS in parallel, compiled when first called: a function of records (n,), the Motions
+    that they share, the drive mode, the group of its speeds, u (windows, time, 9), stiffness_noise (n, draws, 4),
+    input_noise (n, draws, 2), rate [Hz], substeps (windows,), initial (n, windows, 3), channels, groups, that fills y
+    (n, channels, windows * time) and outcomes (n,)."""
     equations = MODELS[model]
 
     @njit(cache=True, error_model="numpy", parallel=True)
     def simulate_batch(
         records,
+        motions,
         drive,
         speed_group,
         u,
@@ -226,24 +249,55 @@ def batch_simulator(model: str) -> Callable[..., None]:
         y,
         outcomes,
     ):
-        for i in prange(len(records)):
-            outcomes[i] = simulate(
+        for i in prange(len(motions.starts) - 1):
+            members = motions.order[motions.starts[i] : motions.starts[i + 1]]
+            first = members[0]
+            outcome = simulate(
                 equations,
-                records[i],
+                records,
+                members,
                 drive,
                 speed_group,
                 u,
-                stiffness_noise[i],
-                input_noise[i],
+                stiffness_noise[first],
+                input_noise[first],
                 rate,
                 substeps,
-                initial[i],
+                initial[first],
                 channels,
                 groups,
-                y[i],
+                y,
             )
+            for member in members:
+                outcomes[member] = outcome
 
     return simulate_batch
+
+
+class Motions(NamedTuple):
+    """Which simulations have the same motion: `order` has their rows, those of motion i from starts[i] to
+    starts[i + 1]."""
+
+    order: np.ndarray
+    starts: np.ndarray
+
+    @classmethod
+    def each(cls, n: int) -> "Motions":
+        """n simulations, each with one of its own."""
+        return cls(np.arange(n), np.arange(n + 1))
+
+    @classmethod
+    def shared(cls, records: np.ndarray, drive: int, *drawn: np.ndarray) -> "Motions":
+        """Of records (n,) and what is drawn for each (n, ...): they differ in what sensors do of one motion, or move
+        differently."""
+        reported = REPORTED_FIELDS if drive != TORQUE else ()  # speeds that drive the model were reported by sensors
+        moving = [name for name in records.dtype.names or () if name not in SENSOR_FIELDS or name in reported]
+        columns = [records[name][:, None] for name in moving] + [one.reshape(len(records), -1) for one in drawn]
+        key = np.ascontiguousarray(np.concatenate(columns, axis=1))
+        rows = key.view(np.dtype((np.void, key.itemsize * key.shape[1]))).ravel()
+        _, motion = np.unique(rows, return_inverse=True)
+        order = np.argsort(motion, kind="stable")
+        return cls(order, np.searchsorted(motion[order], np.arange(motion.max() + 2)))
 
 
 def fastest_rate(record: np.void, drive: str, v_min: float, model: str = "single_track") -> float:

@@ -26,7 +26,7 @@ from numba import njit
 
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
 
-REFRESHED = 5  # sweeps after which S is factorised anew, against rounding
+REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
 LEAST = 1e-9  # part of its precision that a direction keeps, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
 SWAPS = 6  # of two groups' states, tried in a sweep
@@ -234,12 +234,27 @@ def _set_level(first, last, to, precision, S, m):
     d = to - precision[first]
     if d == 0.0:
         return
-    e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
-    W = np.ascontiguousarray(S[:, first:last]) @ V
-    c = d / np.maximum(1.0 + d * np.maximum(e, 0.0), LEAST)
-    m -= W @ (c * (V.T @ m[first:last].copy()))
-    S -= (W * c) @ W.T
+    if last - first == 1:
+        _set_alone(first, d, S, m)
+    else:
+        e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
+        W = np.ascontiguousarray(S[:, first:last]) @ V
+        c = d / np.maximum(1.0 + d * np.maximum(e, 0.0), LEAST)
+        m -= W @ (c * (V.T @ m[first:last].copy()))
+        S -= (W * c) @ W.T
     precision[first:last] = to
+
+
+@njit(cache=True)
+def _set_alone(j, d, S, m):
+    """What `_set_level` does to a group of one column j, whose precision changes by d, without matrices beside S."""
+    w = S[j].copy()
+    c, mean = d / max(1.0 + d * max(w[j], 0.0), LEAST), m[j]
+    for i in range(len(m)):
+        share = c * w[i]
+        m[i] -= share * mean
+        for k in range(len(m)):
+            S[i, k] -= share * w[k]
 
 
 @njit(cache=True)
@@ -318,8 +333,8 @@ def _run(
         for _ in range(SWAPS):
             _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike)
         if sweep % REFRESHED == 0:
-            best = np.empty(len(spikes))
-            for one in range(len(spikes)):
+            best = np.zeros(len(spikes))
+            for one in range(len(spikes) if len(spikes) > 1 else 0):  # a single one is not weighed
                 tried = precision.copy()
                 for g in range(k):
                     if named[g] and level[g] == 0:
