@@ -9,7 +9,7 @@ from jaxtyping import Float
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned, first_simulated
+from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
 
 ALIKE = 0.05  # least probability of an effect that may stand for another
 INSTEAD = -0.3  # correlation of two effects' being there, from which they stand for each other
@@ -43,8 +43,7 @@ def with_effects(base: Fit, pruned: Pruned, effects: Collection[str]) -> Model |
     expansion = pruned.expansion.only(_sizes(pruned, effects))
     simulator = replace(base.simulator, substeps=pruned.fit.simulator.substeps)
     observation = base.observation.extended(simulator).freeing(expansion.space.parameters)
-    start = first_simulated(observation.simulator, _starts(base, pruned, expansion))
-    fit = expansion.fitted(observation, start, np.full(len(expansion.sizes), WIDER))
+    fit = expansion.likeliest(observation, [*_starts(base, pruned, expansion)], np.full(len(expansion.sizes), WIDER))
     return None if fit is None else Model(tuple(sorted(effects)), fit, base.simulator.space.names)
 
 
