@@ -43,8 +43,10 @@ def sentence(error: Exception) -> str | None:
 
 @sentence.register
 def _no_cluster(error: RuntimeError) -> str | None:
-    """What submitit says where there is no SLURM."""
-    return "hydra/launcher=submitit_slurm needs a SLURM cluster: there is no srun here" if "srun" in str(error) else None
+    """What submitit says where there is no SLURM; any other as if it were of no kind."""
+    if '"srun"' in str(error):
+        return "hydra/launcher=submitit_slurm needs a SLURM cluster: there is no srun here"
+    return sentence.dispatch(Exception)(error)
 
 
 @sentence.register
