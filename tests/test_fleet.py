@@ -187,6 +187,14 @@ def test_a_script_ends_with_the_process_that_attends_it(tmp_path: Path) -> None:
     assert "stopped after 1 s" in (tmp_path / "log").read_text()
 
 
+def test_a_script_runs_where_its_files_are_named_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "script.py").write_text("import pathlib, sys; print(pathlib.Path(sys.argv[1]).read_text())")
+    (tmp_path / "car.yaml").write_text("m: 1500")
+    monkeypatch.chdir(tmp_path)
+    assert attended(tmp_path / "script.py", ["car.yaml"], tmp_path / "log", 60.0) == 0
+    assert (tmp_path / "log").read_text() == "m: 1500\n"
+
+
 @contextmanager
 def cluster(workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """The address of a Dask scheduler, and its process and those of its workers, as if on machines of their own."""

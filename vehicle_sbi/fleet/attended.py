@@ -18,9 +18,16 @@ ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NU
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def attended(script: Path, words: Sequence[str], log: Path, timeout_s: float, *, tree: Path = ROOT) -> int | None:
-    """Exit status of a script of a checkout, with one thread, what it prints in `log`; None where it took too long."""
-    environment = os.environ | ONE_THREAD | {"PYTHONPATH": str(tree), "HYDRA_FULL_ERROR": "0"}  # a line, no traceback
+def attended(
+    script: Path, words: Sequence[str], log: Path, timeout_s: float, *, tree: Path | None = None
+) -> int | None:
+    """Exit status of a script, with one thread, what it prints in `log`; None where it took too long.
+
+    It runs where this process does; one of another checkout, a `tree`, runs there with that one's modules.
+    """
+    environment = (
+        os.environ | ONE_THREAD | {"PYTHONPATH": str(tree or ROOT), "HYDRA_FULL_ERROR": "0"}
+    )  # a line, no traceback
     command = [sys.executable, __file__, str(script), *words]
     with log.open("w") as file:
         process = subprocess.Popen(command, cwd=tree, stdin=subprocess.PIPE, stdout=file, stderr=file, env=environment)
