@@ -120,7 +120,7 @@ def test_a_posterior_is_rebuilt_from_its_checkpoint(tmp_path: Path) -> None:
     path = finished.save(Checkpoints(tmp_path), "round.pt")
     theta = torch.tensor([[1.2, 0.1, -0.1], [1.4, 0.0, 0.2]])
     rounds = (finished, Round.load(path))
-    densities = [posterior_of(study, r).log_prob(theta, norm_posterior=False) for r in rounds]  # type: ignore[call-arg]
+    densities = [posterior_of(study, r).log_prob(theta, norm_posterior=False) for r in rounds]  # pyright: ignore[reportAttributeAccessIssue]  # sbi's base class
     torch.testing.assert_close(densities[0], densities[1])
 
 

@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float
 
 from vehicle_sbi.inference.directions import Direction, middle
 from vehicle_sbi.inference.effect_prior import EffectPrior
-from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import SHARES, Fit
@@ -245,12 +244,8 @@ def _again(now: _Round, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -
 
 def _simulated(fit: Fit, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
     """As far on the way from a fit to theta as the car can be simulated: at first order it does not spin."""
-    return first_simulated(fit.simulator, fit.theta + np.array([*SHARES, 0.0])[:, None] * (theta - fit.theta))
-
-
-def first_simulated(simulator: Simulator, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " d"]:
-    """The first of some points where the car does not spin: draws are those of a linear model, which does not know."""
-    y = simulator.noise_free(points)[:, simulator.windows.valid]
+    points = fit.theta + np.array([*SHARES, 0.0])[:, None] * (theta - fit.theta)
+    y = fit.simulator.noise_free(points)[:, fit.simulator.windows.valid]
     return points[int(np.argmax(np.isfinite(y).all(axis=1)))]
 
 
