@@ -174,17 +174,10 @@ def by_plain_sbi(base: Problem, seed: int, folder: Path) -> Answer:
 
 def by_nuts(base: Problem, seed: int, folder: Path) -> Answer:
     """numpyro's NUTS in the sums of parameters and process noise, parameters then drawn given their sums."""
-    from jax import random
-    from numpyro.infer import MCMC, NUTS, init_to_median
     from peers.in_jax import Study
 
     begun = time.perf_counter()
-    study = Study(base.simulator, base.observed)
-    sampler = MCMC(
-        NUTS(study.model, init_strategy=init_to_median), num_warmup=WARM_UP, num_samples=KEPT, progress_bar=False
-    )
-    sampler.run(random.PRNGKey(seed))
-    found = {name: np.asarray(values) for name, values in sampler.get_samples().items()}
+    found = Study(base.simulator, base.observed).sampled(WARM_UP, KEPT, seed)
     theta = _without_process_noise(base.simulator, found["place"], found["sums"], seed)
     return Answer(theta, time.perf_counter() - begun)
 

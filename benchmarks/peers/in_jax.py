@@ -140,3 +140,12 @@ class Study:
         y = self.series(place, sums, v_0)
         std = jnp.sqrt((self.share * y) ** 2 + self.floor**2)
         numpyro.factor("likelihood", jnp.sum(-0.5 * ((self.observed - y) / std) ** 2 - jnp.log(std)))
+
+    def sampled(self, warm_up: int, kept: int, seed: int) -> dict[str, np.ndarray]:
+        """Draws (kept, ...) of each site of the model, by one chain of NUTS."""
+        from numpyro.infer import MCMC, NUTS, init_to_median
+
+        kernel = NUTS(self.model, init_strategy=init_to_median)
+        chain = MCMC(kernel, num_warmup=warm_up, num_samples=kept, progress_bar=False)
+        chain.run(jax.random.PRNGKey(seed))
+        return {name: np.asarray(values) for name, values in chain.get_samples().items()}
