@@ -346,10 +346,10 @@ def test_tyre_curve_keeps_its_slope(peak: float) -> None:
 
 
 def test_tyre_curve_peaks_at_all_of_the_grip() -> None:
-    # sin(3/2 atan(2/3 z)) is 1 where atan(2/3 z) = pi/3 and less on both sides.
+    # sin(3/2 atan(2/3 z)) is 1 where atan(2/3 z) = pi/3 and less on both sides. test_magic_formula.py has the 1e-11.
     p, top = derived(tyre_curve_peak=1.0), 1.5 * math.tan(math.pi / 3.0)
     forces = [side_force(p, z * 6000.0 / 8e4) for z in (0.9 * top, top, 1.1 * top, 100.0 * top)]
-    assert forces[1] == pytest.approx(6000.0, rel=8 * EPS)
+    assert forces[1] == pytest.approx(6000.0, rel=1e-11)
     assert forces[0] < forces[1] > forces[2] > forces[3]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
+from vehicle_sbi.physics.magic_formula import peaked_and_full
 from vehicle_sbi.physics.tyre import dugoff, dugoff_side
 from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle
 
@@ -42,11 +43,6 @@ REPORTED = (
 MOST_LOAD_TRANSFER = 0.005  # [1/(m/s^2)^2]
 # A wheel's share moves by s = 2 h_cog a_y / (g track); h_cog / track is at most 0.6, where a car tips over at 0.83 g.
 MOST_UNEVEN = 0.015  # [1/(m/s^2)^2], (2 h_cog / (g track))^2
-PEAK_SHAPE = 1.5  # C of the magic formula that the tyre curve blends into
-FULL_SHAPE = (
-    1.3  # C of the one that bends late, by the E at which it bends by no third power: any less, it would stiffen
-)
-FULL_CURVATURE = -(1.0 + 0.5 * FULL_SHAPE**2)
 DEAD_TIME = "pure dead time"
 RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and Vehicle Dynamics"
 
@@ -620,16 +616,9 @@ def tyre_curve(p, z: float) -> tuple[float, float]:
     if z == 0.0:
         return 1.0, 1.0
     saturating = z if z <= 0.5 else 1.0 - 0.25 / z
-    peaked = magic_formula(z, PEAK_SHAPE, 0.0) / saturating - 1.0
-    full = magic_formula(z, FULL_SHAPE, FULL_CURVATURE) / saturating - 1.0
+    peak, late = peaked_and_full(z)
+    peaked, full = peak / saturating - 1.0, late / saturating - 1.0
     return 1.0 + p.tyre_curve_longitudinal * peaked, 1.0 + p.tyre_curve_peak * peaked + p.tyre_curve_fullness * full
-
-
-@compiled
-def magic_formula(z: float, C: float, E: float) -> float:
-    """Force over grip at demand over grip z, of slope 1 at none: sin(C atan(w - E (w - atan w))), w = z/C."""
-    w = z / C
-    return math.sin(C * math.atan(w - E * (w - math.atan(w))))
 
 
 @compiled

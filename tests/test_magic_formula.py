@@ -1,0 +1,40 @@
+"""The tyre curve's magic formulas, and the cubics that stand for them."""
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.polynomial import Chebyshev
+
+from vehicle_sbi.physics.magic_formula import FULL, INTERVALS, PEAKED, REACH, magic_formula, peaked_and_full
+
+PIECES, DEGREE = 8, 20  # of the polynomials that give fourth derivatives
+
+
+def steepest_bend(shape: tuple[float, float]) -> float:
+    """max |M''''| up to REACH."""
+    edges, bends = np.linspace(0.0, REACH, PIECES + 1), []
+    for low, high in itertools.pairwise(edges):
+        piece = Chebyshev.interpolate(np.vectorize(lambda z: magic_formula(z, *shape)), DEGREE, [low, high])
+        bends.append(np.abs(piece.deriv(4)(np.linspace(low, high, 200))).max())
+    return max(bends)
+
+
+@pytest.mark.parametrize("shape", [PEAKED, FULL])
+def test_cubics_are_as_near_as_fourth_derivatives_allow(shape: tuple[float, float]) -> None:
+    # A cubic with the values and slopes at both ends of an interval h is off by at most h^4/384 max |M''''|.
+    allowed = (REACH / INTERVALS) ** 4 / 384.0 * steepest_bend(shape)
+    z, column = np.linspace(0.0, REACH, 7 * INTERVALS), (PEAKED, FULL).index(shape)
+    off = [peaked_and_full(x)[column] - magic_formula(x, *shape) for x in z]
+    assert 0.9 * allowed < np.abs(off).max() < 1.01 * allowed < 1e-11
+
+
+@pytest.mark.parametrize("z", [np.nextafter(REACH, 0.0), REACH, 2.0 * REACH, 1e9, np.inf])
+def test_beyond_the_knots_it_is_the_formula(z: float) -> None:
+    # Joined within the rounding of a few products; it ends at the formula's limit, sin(C pi/2).
+    expected = [magic_formula(z, *shape) for shape in (PEAKED, FULL)]
+    np.testing.assert_allclose(peaked_and_full(z), expected, rtol=1e-14)
+
+
+def test_what_is_not_a_number_stays_that() -> None:
+    assert np.isnan(peaked_and_full(np.nan)).all()
