@@ -5,20 +5,19 @@ python scripts/calibrate.py rounds=amortised repetitions=500
 python scripts/calibrate.py manoeuvre=paper_strong rounds.simulations=1000 reweight=false
 """
 
-from _entry import launch, run_folder  # first: it sets the number of threads
+from _entry import launch, run_folder, use_engine  # first: it sets the number of threads
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from vehicle_sbi.inference.repetition import calibrated, checked
-from vehicle_sbi.inference.simulator import use_cores
 from vehicle_sbi.report.calibration import report, show
 
 
 @launch("calibrate")
 def main(cfg: DictConfig) -> None:
     study, scheme, asked = instantiate(cfg.study), instantiate(cfg.rounds), instantiate(cfg.calibration)
-    use_cores(cfg.engine.cores)
+    use_engine(cfg.engine)
     asked.of(scheme)
     prepared = checked(study, scheme)
     with run_folder(cfg, inputs=prepared.inputs) as folder:

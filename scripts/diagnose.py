@@ -5,19 +5,18 @@ python scripts/diagnose.py 'recordings=[a.csv,b.csv]' 'heldout=[c.csv]' vehicle=
 python scripts/diagnose.py recording=volvo_s90_slalom
 """
 
-from _entry import launch, named_recordings, run_folder, warn  # first: it sets the number of threads
+from _entry import launch, named_recordings, run_folder, use_engine, warn  # first: it sets the number of threads
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from vehicle_sbi.inference.simulator import use_cores
 from vehicle_sbi.report.diagnosis import diagnose, show
 
 
 @launch("diagnose")
 def main(cfg: DictConfig) -> None:
     diagnosis, again = instantiate(named_recordings(cfg).diagnosis), instantiate(cfg.get("infer"))
-    use_cores(cfg.engine.cores)
+    use_engine(cfg.engine)
     case = diagnosis.prepare()
     warn(case.warnings)
     with run_folder(cfg, inputs=case.inputs) as folder:

@@ -5,20 +5,19 @@ python scripts/run.py prior=default estimator=nsf
 python scripts/run.py -m estimator=nsf,maf seed=0,1,2
 """
 
-from _entry import launch, run_folder, warn  # first: it sets the number of threads
+from _entry import launch, run_folder, use_engine, warn  # first: it sets the number of threads
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from vehicle_sbi.inference.rounds import file_of, infer
-from vehicle_sbi.inference.simulator import use_cores
 from vehicle_sbi.report.results import first_answer, report, show
 
 
 @launch("config")
 def main(cfg: DictConfig) -> None:
     study, scheme = instantiate(cfg.study), instantiate(cfg.rounds)
-    use_cores(cfg.engine.cores)
+    use_engine(cfg.engine)
     prepared = study.prepare()
     warn(prepared.warnings)
     with run_folder(cfg, inputs=prepared.inputs) as folder:

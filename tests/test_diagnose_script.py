@@ -270,6 +270,8 @@ def test_what_is_no_stage_is_not_run_and_its_stage_is_done_anew(run: Path, tmp_p
         ),
         (["recordings=[{files}/a.csv]", "heldout=[dart_sine_steering]"], "is of vehicle dart"),
         (["recordings=[{files}/a.csv]", "window_s=0.4"], "window_s = 0.4; it must be longer than warmup_s = 0.5"),
+        (["recordings=[{files}/a.csv]", "engine=dask"], "engine = dask: one study runs on this machine; fleet and"),
+        (["recordings=[{files}/a.csv]", "infer=npe_c", "device=tpu"], "unknown device 'tpu'; known: cpu, cuda"),
     ],
 )
 def test_a_wrong_value_gets_one_line(files: Path, tmp_path: Path, arguments: list[str], line: str) -> None:

@@ -124,7 +124,7 @@ def diagnosis_of(folder: Path, **changes: Any) -> dict[str, Any]:
         "base_parameters": {
             name: {"before": {}, "after": numbers(*of), "unit": of[2]} for name, of in base.items()
         },
-        "warnings": ["l_f lies on the edge of its prior in the base model, where a mismatch may hide."],
+        "warnings": ["l_f: the base model fits best at 1 m, a bound of its prior: a mismatch may hide there."],
     } | changes  # fmt: skip
     assert set(verdict) <= {field.name for field in fields(Verdict)}
     prior = {"l_f": [1.0, 1.6], "C_alpha_f": [5e4, 3e5], "C_alpha_r": [5e4, 3e5]}
@@ -277,8 +277,8 @@ def test_every_file_repeats_the_caveats(tmp_path: Path, format: str) -> None:
         "diagnosis": [
             "Missing: body roll (0.95), steering delay (0.80).",
             "NOT accepted: it gains nothing there",
-            "cannot tell which: steering_delay or sensor_delay",
-            "l_f lies on the edge of its prior",
+            "hardly tell apart steering_delay and sensor_delay",
+            "l_f: the base model fits best at 1 m, a bound of its prior",
         ],
     }
     for kind, lines in said.items():
@@ -441,4 +441,4 @@ def test_what_no_effect_stands_for_is_told_as_a_size(tmp_path: Path) -> None:
     law = {"target": "force along y", "size": numbers(210.0, 20.0, "N")}
     diagnosis_of(tmp_path / "diagnosis", unknown={"laws": [law], "beyond_prior": []})
     text = texts(tmp_path / "diagnosis", "autoware")["mpc.param.yaml"]
-    assert "No known effect stands for: force along y of 2.1e+02 N (root mean square)." in comments(text)
+    assert "No known effect explains: force along y of 2.1e+02 N (root mean square)." in comments(text)

@@ -20,6 +20,7 @@ from _entry import interruption
 
 interruption.listen()
 
+from _entry.cores import use_engine
 from _entry.launching import launch
 from _entry.recordings import named_recordings, warn
 from _entry.run_folders import LONGEST_NAME, run_folder, study_name
@@ -27,7 +28,7 @@ from _entry.targets import guard
 
 import os
 
-__all__ = ["LONGEST_NAME", "launch", "named_recordings", "run_folder", "study_name", "warn"]
+__all__ = ["LONGEST_NAME", "launch", "named_recordings", "run_folder", "study_name", "use_engine", "warn"]
 
 guard()
 

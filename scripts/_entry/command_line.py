@@ -49,11 +49,9 @@ def is_file(group: str, value: str) -> bool:
 def _with_file_option(argument: str) -> list[str]:
     """`recording=PATH` and `vehicle=PATH` as the group's `file` option and its path, anything else as it is.
 
-    `mapping=PATH` is the path in the place of the recording's mapping, `device=` that of the training.
+    `mapping=PATH` is the path in the place of the recording's mapping.
     """
     group, _, value = argument.partition("=")
-    if group == "device":
-        return [f"training.device={value}"]
     if group == "mapping" and is_file(group, value):
         return [f"recording.mapping={json.dumps(value)}"]
     return [f"{group}=file", f"{group}.path={json.dumps(value)}"] if is_file(group, value) else [argument]

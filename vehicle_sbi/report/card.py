@@ -6,8 +6,8 @@ from vehicle_sbi.inference.information import POWER
 from vehicle_sbi.mismatch.design.identifiability import TAKING, Card
 
 LEGEND = (
-    f"shows from: how far off its null an effect is seen with a power of {POWER:.0%}; left by the fit: the share of "
-    f"what it does that fitting leaves; absorbed by: the fitted parameters that take {TAKING:.0%} of it or more."
+    f"smallest size seen: how far off its null an effect is detected with a power of {POWER:.0%}; not absorbed: the "
+    f"share of what it does that the fitted parameters leave; absorbed by: those that take {TAKING:.0%} of it or more."
 )
 
 
@@ -19,8 +19,8 @@ def could_show(seen: Card) -> pd.DataFrame:
             "effect": [c.parameter.name for c in seen.candidates],
             "unit": [c.parameter.unit for c in seen.candidates],
             "visible": ["yes" if c.visible else "no" for c in seen.candidates],
-            "shows from": [c.least if c.visible else "not here" for c in seen.candidates],
-            "left by the fit": [f"{c.retained:.0%}" for c in seen.candidates],
+            "smallest size seen": [c.least if c.visible else "not here" for c in seen.candidates],
+            "not absorbed": [f"{c.retained:.0%}" for c in seen.candidates],
             "absorbed by": [", ".join(c.absorbers) for c in seen.candidates],
         }
     )

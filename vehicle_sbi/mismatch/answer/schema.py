@@ -29,6 +29,10 @@ class Named:
         """The parameters, but for those that say when an effect acts."""
         return {name: e for name, e in self.parameters.items() if name.split(".")[-1] not in SPAN}
 
+    def of(self, effect: str) -> dict[str, Estimate]:
+        """The sizes of one effect."""
+        return {name: e for name, e in self.sizes.items() if name.split(".")[0] == effect}
+
     @property
     def acting(self) -> list[str]:
         """When its effects act that are tied to the clock, in words."""

@@ -20,7 +20,7 @@ from vehicle_sbi.mismatch.answer.schema import (
     Verdict,
     Visible,
 )
-from vehicle_sbi.mismatch.answer.wording import NAMED, headline, lines
+from vehicle_sbi.mismatch.answer.wording import NAMED, Context, headline, lines
 from vehicle_sbi.mismatch.design.experiment import advice
 from vehicle_sbi.mismatch.design.identifiability import Card
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, drawn
@@ -35,6 +35,7 @@ from vehicle_sbi.mismatch.selection.detection import Examined
 from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
 from vehicle_sbi.mismatch.selection.extended import Extended, alternatives
 from vehicle_sbi.mismatch.selection.predictive import Gain, Prediction
+from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE
 
 SCHEMA = 2
@@ -110,7 +111,8 @@ def verdict(case: Case, found: Found) -> Verdict:
 
 def _in_words(answer: Verdict, found: Found, *, trusted: bool) -> Verdict:
     """The answer with its headline, the lines after it and both as one text."""
-    said, more = headline(answer, trusted=trusted), lines(answer, found.seen, found.predictions)
+    context = Context(found.base.fit.simulator, found.seen, found.predictions, trusted)
+    said, more = headline(answer, trusted=trusted), lines(answer, context)
     return replace(answer, headline=said, lines=more, sentence=" ".join([said, *more]))
 
 
@@ -239,8 +241,17 @@ def _score(prediction: Prediction) -> Score:
 def _rim(model: Model, called: str) -> list[str]:
     """Base parameters that want to leave their box: what is missing may hide in them."""
     fit = model.fit
-    names = np.array(fit.simulator.space.names)[~fit.inside & ~model.own]
-    return [f"{name} lies on the edge of its prior in the {called} model, where a mismatch may hide." for name in names]
+    off = ~fit.inside & ~model.own
+    return [
+        f"{p.name}: the {called} model fits best at {_nearer(p, x)}, a bound of its prior: a mismatch may hide there."
+        for p, x, out in zip(fit.simulator.space.parameters, fit.theta, off, strict=True)
+        if out
+    ]
+
+
+def _nearer(p: Parameter, x: float) -> str:
+    """The nearer bound, with its unit."""
+    return f"{p.low if x - p.low < p.high - x else p.high:.4g} {p.unit}".removesuffix(" 1")
 
 
 def _cornered(on_rims: Sequence[str], called: str) -> list[str]:
@@ -248,8 +259,8 @@ def _cornered(on_rims: Sequence[str], called: str) -> list[str]:
     if len(on_rims) < CORNERED:
         return []
     return [
-        f"The {called} model's fit ends on the edges of {len(on_rims)} priors at once: what is missing hides in its "
-        "parameters, and names that follow are rough. State wider priors, or the constants that are known."
+        f"The {called} model's best fit is at bounds of {len(on_rims)} priors at once: what is missing hides in its "
+        "parameters, and the named effects are uncertain. Widen these priors, or fix what was measured."
     ]
 
 

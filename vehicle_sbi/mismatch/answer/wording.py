@@ -1,15 +1,22 @@
 """The answer in words: a headline of at most 25 words, and at most five lines after it."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from vehicle_sbi.inference.directions import null
+from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.answer.schema import Unknown, Verdict
 from vehicle_sbi.mismatch.design.identifiability import Candidate, Card
-from vehicle_sbi.mismatch.estimation.estimate import quantity
-from vehicle_sbi.mismatch.hypotheses.block import spoken
+from vehicle_sbi.mismatch.estimation.estimate import Estimate, quantity
+from vehicle_sbi.mismatch.hypotheses.block import spoken, throughout
+from vehicle_sbi.mismatch.selection.detection import Place
 from vehicle_sbi.mismatch.selection.predictive import Prediction
+from vehicle_sbi.mismatch.selection.score_test import DRAWS
 from vehicle_sbi.rounding import mean_and_std
+from vehicle_sbi.words import enumerated
 
 NAMED = 0.5  # probability from which an effect is named
 WORDS = 25  # of a headline at most
@@ -20,18 +27,42 @@ HARDLY_COVERED = 0.75  # share of the 90 % band, below which what was held out i
 EXAMPLES = 3  # effects that are named of those that would have shown
 FOLLOWS = 0.5  # share of a course that a signal explains, from which it is said to follow it
 
+FACTORS = {  # parameters that multiply what a vehicle file states
+    "friction_level.factor": "mu",
+    "yaw_inertia.factor": "I_z",
+    "wheel_radius.front": "R_f",
+    "wheel_radius.rear": "R_f",
+}
+ADDED = {"payload.mass": "m"}  # those that add to it
+
+
+@dataclass(frozen=True)
+class Context:
+    """What the words need beside the answer: the base model's simulator, what the recordings could show, predictions,
+    and whether the base fit may be relied on."""
+
+    simulator: Simulator
+    seen: Card
+    predictions: Mapping[str, Prediction]
+    trusted: bool
+
 
 def headline(answer: Verdict, *, trusted: bool) -> str:
     """What is missing, in at most 25 words."""
     if not answer.detected:
-        return f"Nothing is missing as far as these recordings can tell (p = {answer.p_value:.2g})."
+        return f"Nothing is missing as far as these recordings can tell ({spoken_p(answer.p_value)})."
     begun = "" if trusted else "The base fit is doubtful. "
     named = [*_named(answer)]
     if not named:
-        differ = f"Simulation and recording differ (p = {answer.p_value:.2g})"
+        differ = f"Simulation and recording differ ({spoken_p(answer.p_value)})"
         return f"{begun}{differ}, and no known effect explains it for certain."
     tried = (_missing(begun, named, spelled) for spelled in range(min(len(named), IN_HEADLINE), 0, -1))
     return next((said for said in tried if len(said.split()) <= WORDS), _missing(begun, named, 1))
+
+
+def spoken_p(p_value: float) -> str:
+    """A p-value, which draws of noise cannot tell from a smaller one where none of them is as extreme."""
+    return f"p {'≤' if p_value * (DRAWS + 1) < 1.5 else '='} {p_value:.2g}"
 
 
 def _missing(begun: str, named: Sequence[str], spelled: int) -> str:
@@ -51,25 +82,47 @@ def _plain(name: str) -> str:
     return name.replace("_", " ")
 
 
-def lines(answer: Verdict, seen: Card, predictions: Mapping[str, Prediction]) -> list[str]:
+def lines(answer: Verdict, context: Context) -> list[str]:
     """How large it is, what it did to the parameters, what cannot be told apart and what would tell it, what is left
     over, and whether it is proved; or, where nothing is missing, what would have shown."""
     if not answer.detected:
-        said = [_limits(seen), *_unlike(predictions)]
+        said = [_limits(context.seen), *_unlike(context.predictions)]
     else:
-        said = [_sizes(answer), _moved(answer), _alike(answer), _left(answer.unknown), _proof(answer.fit)]
+        said = [
+            _sizes(answer, context.simulator),
+            _moved(answer),
+            _alike(answer),
+            _left(answer.unknown),
+            _proof(answer, trusted=context.trusted),
+        ]
     return [line for line in said if line]
 
 
-def _sizes(answer: Verdict) -> str:
+def _sizes(answer: Verdict, simulator: Simulator) -> str:
     """Where they differ most, and the sizes of what is missing."""
-    where = [f"most in {one.channel} {one.regime or spoken(one.within)}" for one in answer.mismatch[:1]]
+    where = [f"most in {one.channel} {when(one, simulator)}" for one in answer.mismatch[:1]]
     found = answer.explanations[0] if answer.explanations else None
-    values = [quantity(name, e) for name, e in found.sizes.items()] if found else []
+    sizes = {name: e for effect in answer.effects for name, e in found.of(effect).items()} if found else {}
+    values = [quantity(name, e) + in_the_car(name, e, simulator.nominal) for name, e in sizes.items()]
     spelled = "; ".join(values[:IN_LINE]) + (f"; and {len(values) - IN_LINE} more" if len(values) > IN_LINE else "")
     acting = [f"{one}." for one in found.acting] if found else []
     size = [f"{spelled}."] if spelled else []
-    return " ".join([f"They differ {where[0]} (p = {answer.p_value:.2g})." if where else "", *size, *acting]).strip()
+    differ = f"They differ {where[0]} ({spoken_p(answer.p_value)})." if where else ""
+    return " ".join([differ, *size, *acting]).strip()
+
+
+def when(place: Place, simulator: Simulator) -> str:
+    """In which extremes of the drive, or in which stretch of time."""
+    if not place.regime and throughout(simulator, place.from_s, place.to_s):
+        return "throughout"
+    return place.regime or spoken(place.within)
+
+
+def in_the_car(name: str, e: Estimate, nominal: np.void) -> str:
+    """What a size means for a constant of the vehicle file, if it is one: ` (mu 1.12, stated 3)`."""
+    if name in FACTORS and np.isfinite(stated := nominal[FACTORS[name]]):
+        return f" ({FACTORS[name]} {stated * e.mean:.3g}, stated {stated:.3g})"
+    return f" (beside {ADDED[name]} {nominal[ADDED[name]]:.4g})" if name in ADDED else ""
 
 
 def _moved(answer: Verdict) -> str:
@@ -94,8 +147,8 @@ def _said(e: Mapping[str, float]) -> str:
 
 def _alike(answer: Verdict) -> str:
     """What cannot be told apart, and what would tell it."""
-    groups = [" or ".join(map(_plain, group)) for group in answer.indistinguishable]
-    said = [f"These recordings cannot tell which: {'; '.join(groups)}."] if groups else []
+    groups = [enumerated([*map(_plain, group)]) for group in answer.indistinguishable]
+    said = [f"These recordings hardly tell apart {'; '.join(groups)}."] if groups else []
     return " ".join([*said, answer.separating_experiment]).strip()
 
 
@@ -112,15 +165,27 @@ def _left(unknown: Unknown | None) -> str:
 
 def _at_bounds(unknown: Unknown | None) -> list[str]:
     names = [name for one in (unknown.beyond_prior if unknown else ()) for name in one.parameters]
-    return [f"{' and '.join(names)} would leave the prior: it is too narrow, or more is missing."] if names else []
+    return [f"{enumerated(names)} would leave the prior: it is too narrow, or more is missing."] if names else []
 
 
-def _proof(fit: Mapping[str, object]) -> str:
-    """Whether the extended model is to be preferred, and why."""
-    if "accepted" not in fit:
+def _proof(answer: Verdict, *, trusted: bool) -> str:
+    """Whether the extended model is to be preferred, why, and in which effects it is not what the headline names."""
+    if "accepted" not in answer.fit:
         return ""
-    verdict = "accepted" if fit["accepted"] else "not accepted"
-    return f"On held-out data the extended model is {verdict}: {fit['accepted_because']}."
+    verdict = "accepted" if answer.fit["accepted"] else "not accepted"
+    said = (
+        f"On held-out data the extended model{_unlike_headline(answer)} is {verdict}: {answer.fit['accepted_because']}."
+    )
+    doubt = " It may predict well, but its parameters are uncertain until the warnings are resolved."
+    return said + (doubt if answer.fit["accepted"] and not trusted else "")
+
+
+def _unlike_headline(answer: Verdict) -> str:
+    """What the likeliest set has beside the effects that are likely one by one, and lacks of them."""
+    has, named = answer.explanations[0].effects, [name for name, p in answer.effects.items() if p > NAMED]
+    more, less = ([_plain(n) for n in a if n not in b] for a, b in ((has, named), (named, has)))
+    said = [f"{word} {enumerated(names)}" for word, names in (("with", more), ("without", less)) if names]
+    return f" ({', '.join(said)})" if said else ""
 
 
 def _unlike(predictions: Mapping[str, Prediction]) -> Iterator[str]:

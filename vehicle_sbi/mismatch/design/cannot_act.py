@@ -13,6 +13,7 @@ from vehicle_sbi.inference.directions import Direction, directions, slopes, with
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.physics.effects import CATALOGUE, Effect
 from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS, MEASUREMENTS
+from vehicle_sbi.words import enumerated
 
 TORQUES = ("drive_gain", "brake_gain", "drive_delay")  # effects on torques that are stated
 MEASURED_INSTEAD = {"torque": (), "wheel_speed": (*TORQUES, "brake_balance"), "speed": TORQUES}
@@ -33,7 +34,7 @@ def _reason(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effect
         return "none of the sensors that it belongs to is recorded"
     wider = _measuring_everything(simulator)
     if found := directions(wider, theta, effect):
-        return f"it acts on {_listed(_moved(wider, theta, found))} alone, not among the channels that are compared"
+        return f"it acts on {enumerated(_moved(wider, theta, found))} alone, not among the channels that are compared"
     return "nothing in how the car is driven brings it out"
 
 
@@ -58,7 +59,3 @@ def _moved(simulator: Simulator, theta: Float[np.ndarray, " d"], found: list[Dir
     """Channels that any of the directions changes."""
     change = np.nanmax(np.abs(slopes(simulator, theta, found)), axis=(0, 2))
     return [name for name, moved in zip(simulator.windows.channels, change, strict=True) if moved > 0.0]
-
-
-def _listed(channels: list[str]) -> str:
-    return " and ".join([", ".join(channels[:-1]), channels[-1]] if len(channels) > 1 else channels)

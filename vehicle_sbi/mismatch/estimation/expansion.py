@@ -82,6 +82,15 @@ class Expansion:
         of = [p.name.rstrip("0123456789") for p in self.sizes]
         return [len([*same]) for _, same in itertools.groupby(of)]
 
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """How often cars have each effect, by any of its sizes; those of a profile over time are missing together."""
+        firsts, spared = np.cumsum([0, *self.groups[:-1]]), dict[str, float]()
+        for first in firsts:
+            effect = self.sizes[first].name.split(".")[0]
+            spared[effect] = spared.get(effect, 1.0) * (1.0 - float(self.rates[first]))
+        return {effect: 1.0 - none for effect, none in spared.items()}
+
     def only(self, sizes: Collection[str]) -> "Expansion":
         """With some of the sizes alone, and the shapes of their effects."""
         kept = np.array([p.name in sizes for p in self.sizes], dtype=bool)

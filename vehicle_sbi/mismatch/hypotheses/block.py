@@ -72,6 +72,12 @@ def stretches(simulator: Simulator) -> list[tuple[float, float]]:
     return [(float(start), float(start + length)) for start in starts]
 
 
+def throughout(simulator: Simulator, from_s: float, to_s: float) -> bool:
+    """Whether a stretch of time is all that is used of the recordings."""
+    t = clock(simulator)
+    return from_s <= t.min() and to_s >= t.max()
+
+
 def bump(t: Float[np.ndarray, " time"], start: float, stop: float) -> Float[np.ndarray, " time"]:
     """0 outside the stretch, 1 in its middle; those of stretches that overlap by half add up to 1."""
     return np.sin(np.pi * np.clip((t - start) / (stop - start), 0.0, 1.0)) ** 2

@@ -23,6 +23,7 @@ from vehicle_sbi.report.export.exported import Exported, Inferred
 from vehicle_sbi.report.run_folder import FinishedRun
 from vehicle_sbi.report.run_folder import read as read_run
 from vehicle_sbi.report.tables import IDENTIFIED_CONTRACTION, on_edge, read_table
+from vehicle_sbi.words import enumerated
 
 UNCHECKED = (
     "This run did not look for physics that its model lacks. Its uncertainties hold if nothing is missing. "
@@ -180,13 +181,13 @@ def _caveats(verdict: Mapping[str, Any]) -> Iterator[str]:
     yield f"Diagnosis: {verdict['headline']}"
     for law in (verdict["unknown"] or {}).get("laws", ())[:1]:
         size = law["size"]
-        yield f"No known effect stands for: {law['target']} of {size['mean']:.2g} {size['unit']} (root mean square)."
+        yield f"No known effect explains: {law['target']} of {size['mean']:.2g} {size['unit']} (root mean square)."
     fit = verdict["fit"]
     if "accepted" in fit:
         said = "accepted" if fit["accepted"] else "NOT accepted"
         yield f"On held-out data the extended model is {said}: {fit['accepted_because']}."
     for group in verdict["indistinguishable"]:
-        yield f"These recordings cannot tell which: {' or '.join(group)}."
+        yield f"These recordings hardly tell apart {enumerated(group)}."
     for stuck in (verdict["unknown"] or {}).get("beyond_prior", ()):
         yield f"At the bounds of its prior: {', '.join(stuck['parameters'])}."
     yield from verdict["warnings"]

@@ -7,11 +7,13 @@ import pandas as pd
 
 from vehicle_sbi.mismatch.answer.schema import Verdict, listed
 from vehicle_sbi.mismatch.answer.verdict import Found
+from vehicle_sbi.mismatch.answer.wording import in_the_car, spoken_p, when
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, quantity
 from vehicle_sbi.mismatch.estimation.fit import Fit
-from vehicle_sbi.mismatch.hypotheses.block import spoken
+from vehicle_sbi.mismatch.hypotheses.block import throughout
 from vehicle_sbi.mismatch.problem.case import Case
 from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.report.card import LEGEND, could_show, hidden
 from vehicle_sbi.report.mismatch_figures import LEAST, MOST_BARS, smooth
 from vehicle_sbi.report.page.charts import Series, chart
@@ -38,23 +40,35 @@ from vehicle_sbi.rounding import mean_and_std
 SETS = 8  # of effects that are listed
 LABELS = {"recorded": "recorded", "base": "base model", "extended": "extended model", "place": "more than noise"}
 BAND = {"band": "its 90 % band"}
-PARAMETERS = {"base": "base model alone", "extended": "whatever is missing averaged over"}
-OF_CURVES = "Where the extended model meets the recorded signal and the base model does not, something was missing."
+PARAMETERS = {"base": "base model alone", "extended": "averaged over what may be missing"}
+OF_CURVES = (
+    "Where the extended model meets the recorded signal and the base model does not, something was missing. Gaps were "
+    "held out, or lie beside what was."
+)
 OF_BASE_ALONE = "Recorded signals over those of the base model, to which nothing had to be added."
-OF_BARS = "How probable it is that each effect is missing, whatever else is. Right of the dashed line it is named."
+OF_BARS = (
+    "How probable it is that each effect is missing, whatever else is. Right of the dashed line it is named. Sizes are "
+    "mean ± one standard deviation."
+)
 OF_RANGES = "Each base parameter within its prior's box, with 90 % intervals. Those that move had hidden it."
 OF_REST = "Recorded less simulated, smoothed over a quarter of a second. A good model leaves a line about zero."
-OF_HELD_OUT = "Both models predict what they were not fitted to: the proof whether the extension is worth it."
+OF_HELD_OUT = "Both models predict what they were not fitted to, which says whether the extension is worth it."
+OF_SCORES = (
+    "Log score in nats a sample, higher is better. NRMSE: root-mean-square error over the signal's standard deviation. "
+    "CRPS (continuous ranked probability score) in each channel's unit. Both are better when lower."
+)
+OF_PLACES = "p: how often noise alone would differ as much anywhere. Share: of the score of all rows."
 OF_EFFECTS = (
-    "Probability that an effect is missing, whatever else is; sizes where it is missing. Any number of effects may be "
-    "missing at once, beside discrepancies that no effect stands for."
+    "Probability that an effect is missing, before the recordings and after, whatever else is missing. Sizes are mean "
+    "± one standard deviation, where it is missing. Any number of effects may be missing at once, beside "
+    "discrepancies that no effect explains."
 )
 OF_SETS = (
     "Probability that exactly these effects are missing: nothing else, or nothing but a discrepancy that no effect "
-    "stands for. The first set is the extended model."
+    "explains. The first set is the extended model."
 )
 OF_LAWS = (
-    "Loads and errors that no effect stands for: root mean square, and the signal of the drive that they follow best, "
+    "Loads and errors that no effect explains: root mean square, and the signal of the drive that they follow best, "
     "with the share of their course that it explains."
 )
 
@@ -74,10 +88,10 @@ def page_of(case: Case, found: Found, answer: Verdict) -> Page:
         folded=[
             _left_over(found, answer),
             *_held_out(case, found, answer),
-            Section(heading="All effects", parts=[Table(_effects(answer), OF_EFFECTS)]),
+            Section(heading="All effects", parts=[Table(_effects(answer, found), OF_EFFECTS)]),
             Section(heading="Effects together", parts=[Table(_sets(answer), OF_SETS)]),
-            Section(heading="What no effect stands for", parts=[_unknown(answer)]),
-            Section(heading="Where they differ", parts=[_where(answer)]),
+            Section(heading="What no effect explains", parts=[_unknown(answer)]),
+            Section(heading="Where they differ", parts=[_where(answer, found)]),
             Section(heading="Base parameters", parts=[Table(_base(answer))]),
             Section(
                 heading="What these recordings could have shown",
@@ -123,10 +137,11 @@ def _left_over(found: Found, answer: Verdict) -> Section:
 
 
 def _places(found: Found, answer: Verdict) -> dict[str, list[tuple[float, float]]]:
-    """Stretches of time in which the base model misses, by channel."""
-    alone, places = is_alone(found.examined.fit.simulator.windows), dict[str, list[tuple[float, float]]]()
+    """Stretches of time in which the base model misses, by channel, where that is not all of it."""
+    simulator = found.examined.fit.simulator
+    alone, places = is_alone(simulator.windows), dict[str, list[tuple[float, float]]]()
     for place in answer.mismatch:
-        if not place.regime:
+        if not place.regime and not throughout(simulator, place.from_s, place.to_s):
             within = place.within if alone else [place]
             places.setdefault(place.channel, []).extend((one.from_s, one.to_s) for one in within)
     return places
@@ -142,7 +157,9 @@ def _held_out(case: Case, found: Found, answer: Verdict) -> list[Section]:
     band = (last.y - last.half_width, last.y + last.half_width)
     drawn = _drawn(series(windows, curves, band=band), LABELS, "Held-out recordings and predictions")
     said = Words([_accepted(answer)] if "accepted" in answer.fit else [])
-    return [Section(heading="Held-out recordings", said=OF_HELD_OUT, parts=[said, drawn, Table(_scores(answer))])]
+    return [
+        Section(heading="Held-out recordings", said=OF_HELD_OUT, parts=[said, drawn, Table(_scores(answer), OF_SCORES)])
+    ]
 
 
 def _accepted(answer: Verdict) -> str:
@@ -188,17 +205,22 @@ def _range(p: Parameter, values: Any) -> Range:
     )
 
 
-def _effects(answer: Verdict) -> pd.DataFrame:
-    sizes = _sizes(answer)
+def _effects(answer: Verdict, found: Found) -> pd.DataFrame:
+    sizes, nominal = _sizes(answer), found.base.fit.simulator.nominal
+    prior = found.pruned.expansion.probabilities if found.pruned else {}
     rows = [
         {
             "effect": name,
+            "what it is": CATALOGUE[name].meaning,
+            "before": f"{prior[name]:.2f}" if name in prior else "",
             "probability": f"{p:.2f}",
-            "size": "; ".join(quantity(key, e) for key, e in sizes.items() if key.split(".")[0] == name),
+            "size": "; ".join(
+                quantity(key, e) + in_the_car(key, e, nominal) for key, e in sizes.items() if key.split(".")[0] == name
+            ),
         }
         for name, p in answer.effects.items()
     ]
-    return pd.DataFrame(rows, columns=["effect", "probability", "size"])
+    return pd.DataFrame(rows, columns=["effect", "what it is", "before", "probability", "size"])
 
 
 def _sets(answer: Verdict) -> pd.DataFrame:
@@ -227,19 +249,18 @@ def _unknown(answer: Verdict) -> Part:
     return Table(frame, OF_LAWS)
 
 
-def _where(answer: Verdict) -> Part:
+def _where(answer: Verdict, found: Found) -> Part:
     if not answer.mismatch:
         return Words(["Nowhere beyond noise."])
     frame = pd.DataFrame(
         {
             "channel": [p.channel for p in answer.mismatch],
-            "p": [f"{p.p_value:.2g}" for p in answer.mismatch],
+            "p": [spoken_p(p.p_value).removeprefix("p ").removeprefix("= ") for p in answer.mismatch],
             "share": [f"{p.share_of_misfit:.0%}" for p in answer.mismatch],
-            "regime": [p.regime or "any" for p in answer.mismatch],
-            "when": [spoken(p.within) for p in answer.mismatch],
+            "where": [when(p, found.base.fit.simulator) for p in answer.mismatch],
         }
     )
-    return Table(frame)
+    return Table(frame, OF_PLACES)
 
 
 def _base(answer: Verdict) -> pd.DataFrame:

@@ -17,6 +17,7 @@ from vehicle_sbi.report.page.page import templates
 from vehicle_sbi.report.page.run import headline
 from vehicle_sbi.report.run_folder import FinishedRun, is_finished, read
 from vehicle_sbi.report.tables import read_table
+from vehicle_sbi.words import enumerated
 
 DIAGNOSIS, RUN, CALIBRATION = "diagnosis", "run", "calibration"
 PAGES = ("report.html", "calibration.md")
@@ -117,5 +118,4 @@ def _counted(found: Sequence[Row]) -> str:
     odd = [
         f"{count} {status}" for status in (UNFINISHED, BROKEN) if (count := sum(row.status == status for row in found))
     ]
-    together = " and ".join(filter(None, [", ".join(kinds[:-1]), kinds[-1]]))
-    return together + (f", of which {' and '.join(odd)}" if odd else "") + "."
+    return enumerated(kinds) + (f", of which {enumerated(odd)}" if odd else "") + "."
