@@ -27,9 +27,9 @@ HARDLY_COVERED = 0.75  # share of the 90 % band, below which what was held out i
 EXAMPLES = 3  # effects that are named of those that would have shown
 FOLLOWS = 0.5  # share of a course that a signal explains, from which it is said to follow it
 
-FACTORS = {  # parameters that multiply what a vehicle file states
+FACTORS = {  # parameters that multiply what a vehicle file states: fields of its record
     "friction_level.factor": "mu",
-    "yaw_inertia.factor": "I_z",
+    "yaw_inertia.factor": "I_z_stated",
     "wheel_radius.front": "R_f",
     "wheel_radius.rear": "R_f",
 }
@@ -120,8 +120,8 @@ def when(place: Place, simulator: Simulator) -> str:
 
 def in_the_car(name: str, e: Estimate, nominal: np.void) -> str:
     """What a size means for a constant of the vehicle file, if it is one: ` (mu 1.12, stated 3)`."""
-    if name in FACTORS and np.isfinite(stated := nominal[FACTORS[name]]):
-        return f" ({FACTORS[name]} {stated * e.mean:.3g}, stated {stated:.3g})"
+    if name in FACTORS and (stated := nominal[FACTORS[name]]) > 0.0:
+        return f" ({FACTORS[name].removesuffix('_stated')} {stated * e.mean:.3g}, stated {stated:.3g})"
     return f" (beside {ADDED[name]} {nominal[ADDED[name]]:.4g})" if name in ADDED else ""
 
 

@@ -1,0 +1,53 @@
+"""What is said of numbers and lists: closed forms."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from cars import PAPER
+
+from vehicle_sbi.mismatch.answer.wording import _unlike_headline, in_the_car, spoken_p
+from vehicle_sbi.mismatch.estimation.estimate import Estimate
+from vehicle_sbi.mismatch.estimation.expansion import Expansion
+from vehicle_sbi.mismatch.selection.score_test import DRAWS
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, nominal_record
+from vehicle_sbi.words import enumerated
+
+
+@pytest.mark.parametrize(
+    ("words", "said"), [([], ""), (["a"], "a"), (["a", "b"], "a and b"), (["a", "b", "c"], "a, b and c")]
+)
+def test_lists(words: list[str], said: str) -> None:
+    assert enumerated(words) == said
+
+
+def test_a_p_value_that_no_draw_of_noise_reaches_is_a_bound() -> None:
+    least = 1.0 / (DRAWS + 1)
+    assert [spoken_p(p) for p in (least, 2.0 * least, 0.05)] == ["p ≤ 0.002", "p = 0.004", "p = 0.05"]
+
+
+def test_a_factor_is_said_of_what_the_vehicle_file_states() -> None:
+    half, nominal = Estimate(0.5, 0.1, 0.4, 0.6, "1"), nominal_record(PAPER)
+    assert in_the_car("friction_level.factor", half, nominal) == f" (mu {PAPER.mu / 2:.3g}, stated {PAPER.mu:.3g})"
+    assert in_the_car("payload.mass", half, nominal) == f" (beside m {PAPER.m:.4g})"
+    assert in_the_car("yaw_inertia.factor", half, nominal) == ""  # this file states none
+    assert in_the_car("steering_ratio.gain", half, nominal) == ""
+
+
+def test_what_the_extended_model_has_beside_the_headline_and_lacks_of_it() -> None:
+    answer: Any = SimpleNamespace(
+        explanations=[SimpleNamespace(effects=("body_roll", "gust"))],
+        effects={"body_roll": 0.9, "relaxation": 0.6, "gust": 0.4},
+    )
+    assert _unlike_headline(answer) == " (with gust, without relaxation)"
+    answer.effects = {"body_roll": 0.9, "gust": 0.7, "relaxation": 0.1}
+    assert _unlike_headline(answer) == ""
+
+
+def test_an_effect_is_there_if_any_of_its_sizes_is_and_a_profile_as_a_whole() -> None:
+    names = ["imu_lever_arm.x", "imu_lever_arm.y", *(f"road_grade_profile.angle_{i}" for i in range(12))]
+    sizes = tuple(EFFECT_PARAMETERS[name] for name in names)
+    rates = np.array([0.5, 0.2, *[0.3] * 12])
+    expanded = Expansion((), sizes, (), np.ones(len(sizes)), rates)
+    assert expanded.probabilities == pytest.approx({"imu_lever_arm": 0.6, "road_grade_profile": 0.3})
