@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
+from scipy.optimize import brentq, newton
 
 G = 9.81
 RHO = 1.225
@@ -155,8 +155,7 @@ def tyre(
     if size == 0.0 or grip == 0.0:
         return float(F[0]), float(F[1])
     z = size / grip / (1.0 + kappa)
-    peak = np.array([c["tyre_curve_longitudinal"], c["tyre_curve_peak"]])
-    full = np.array([0.0, c["tyre_curve_fullness"]])
+    peak, full = np.array([c["tyre_curve_longitudinal"], c["tyre_curve_peak"]]), c["tyre_curve_fullness"]
     along = grip * demand / size
     F = F + peak * (math.sin(1.5 * math.atan(z / 1.5)) * along - F) + full * (full_curve(z) * along - F)
     return float(F[0]), float(F[1])
@@ -240,35 +239,57 @@ def slips(c: Car, state: np.ndarray, delta: float, loads: tuple[float, float]) -
     return (rolling_f - V_f) / max(rolling_f, V_f), (rolling_r - V_r) / max(rolling_r, V_r)
 
 
-def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, a_x: float, command: float) -> Forces:
-    """The forces if the front wheels stand at delta, commanded another angle, and the car accelerates with a_x."""
+def tyre_forces(
+    c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, a: tuple[float, float], command: float
+) -> Forces:
+    """The forces if the front wheels stand at delta, commanded another angle, and the car accelerates with a (x, y)."""
+    a_x, a_y = a
     loads = axle_loads(c, now, a_x, state[0])
     alphas = slip_angles(c, state, delta)
     kappas = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
     lagging = [sigma > 0.0 for sigma in relaxation_lengths(c)]
     kappas = [float(state[5 + i]) if lags else kappas[i] for i, lags in enumerate(lagging)]
     alphas = [float(state[7 + i]) if lags else alphas[i] for i, lags in enumerate(lagging)]
-    (l_f, l_r), N, a_y = axles(c), weight(c), state[0] * state[2]
+    (l_f, l_r), N, steady = axles(c), weight(c), state[0] * state[2]
     statics, stiff, slide = (N * l_r / c["L"], N * l_f / c["L"]), levels(c, "stiffness_level"), friction(c)
     pulls = implied_pulls(c, now, state[0], state[2], command, a_x)
     found = []
     for i, axle in enumerate("fr"):
         C, mu = (stiff[i] * c[f"C_kappa_{axle}"], stiff[i] * c[f"C_alpha_{axle}"]), now.mu * slide[i]
-        halves = np.zeros(2)
-        for load in wheel_loads(c, loads[i], a_y):
-            if drive == "speed":
-                halves += pulled_tyre(c, C[1] / 2.0, mu, load, statics[i] / 2.0, pulls[i] / 2.0, alphas[i], a_y)
-            else:
-                half = C[0] / 2.0, C[1] / 2.0
-                halves += tyre(c, half, mu, load, statics[i] / 2.0, (kappas[i], alphas[i]), a_y)
-        found += halves.tolist()
+        wheels, half, static = wheel_loads(c, loads[i], statics[i], a_y), (C[0] / 2.0, C[1] / 2.0), statics[i] / 2.0
+        if drive == "speed":
+            pair = [pulled_tyre(c, half[1], mu, load, static, pulls[i] / 2.0, alphas[i], steady) for load in wheels]
+        else:
+            pair = driven_pair(c, half, mu, wheels, static, (kappas[i], alphas[i]), steady)
+        found += np.sum(pair, axis=0).tolist()
     return Forces(*found)
 
 
-def wheel_loads(c: Car, F_z: float, a_y: float) -> tuple[float, float]:
-    """Loads [N] of an axle's outer and inner wheel, of which a turn moves a share from one to the other."""
-    s = min((c["lateral_load_transfer_uneven"] * a_y**2) ** 0.5, 1.0)
-    return F_z * (1.0 + s) / 2.0, F_z * (1.0 - s) / 2.0
+def wheel_loads(c: Car, F_z: float, static: float, a_y: float) -> tuple[float, float]:
+    """Loads [N] of an axle's outer and inner wheel: a turn moves a share of the static load from one to the other, and
+    no more than all that the inner one has."""
+    moved = min((c["lateral_load_transfer_uneven"] * a_y**2) ** 0.5 * static, F_z)
+    return (F_z + moved) / 2.0, (F_z - moved) / 2.0
+
+
+def driven_pair(
+    c: Car, C: tuple[float, float], mu: float, wheels: tuple[float, float], static: float,
+    slips: tuple[float, float], steady: float,
+) -> list[tuple[float, float]]:  # fmt: skip
+    """Forces of both wheels of an axle with the same torque: slips kappa (1 - d) and kappa (1 + d) whose forces along
+    the wheels are equal, or as near as the inner wheel's slip can bring them."""
+
+    def pair(d: float) -> list[tuple[float, float]]:
+        each = zip(wheels, (1.0 - d, 1.0 + d), strict=True)
+        return [tyre(c, C, mu, load, static, (part * slips[0], slips[1]), steady) for load, part in each]
+
+    def apart(d: float) -> float:
+        outer, inner = pair(d)
+        return (outer[0] - inner[0]) * np.sign(slips[0])
+
+    if slips[0] == 0.0 or wheels[0] == wheels[1]:
+        return pair(0.0)
+    return pair(0.98 if apart(0.98) > 0.0 else root(apart, -0.98, 0.98))
 
 
 def friction(c: Car) -> tuple[float, float]:
@@ -276,29 +297,29 @@ def friction(c: Car) -> tuple[float, float]:
     return c["friction_level_front"], c["friction_level_rear"]
 
 
-def steered(c: Car, now: Moment, drive: str, state: np.ndarray, command: float, a_x: float) -> float:
+def steered(c: Car, now: Moment, drive: str, state: np.ndarray, command: float, a: tuple[float, float]) -> float:
     """Where the front wheels stand [rad]: delta = command + roll steer - coefficient F_yf(delta)."""
     straight = command + c["roll_steer_coefficient"] * state[0] * state[2]
     coefficient = c["steering_compliance_coefficient"]
     if coefficient == 0.0:
         return straight
-    most = coefficient * 3.0 * (abs(axle_loads(c, now, a_x, state[0])[0]) + 1.0)  # no friction coefficient reaches 3
+    most = coefficient * 3.0 * (abs(axle_loads(c, now, a[0], state[0])[0]) + 1.0)  # no friction coefficient reaches 3
 
     def excess(delta: float) -> float:
-        return delta - straight + coefficient * tyre_forces(c, now, drive, state, delta, a_x, command).y_f
+        return delta - straight + coefficient * tyre_forces(c, now, drive, state, delta, a, command).y_f
 
     return root(excess, straight - most, straight + most)
 
 
-def longitudinal_acceleration(c: Car, now: Moment, drive: str, state: np.ndarray, u: np.ndarray) -> float:
+def longitudinal_acceleration(c: Car, now: Moment, drive: str, state: np.ndarray, u: np.ndarray, a_y: float) -> float:
     """v_x' - v_y r [m/s^2]: the root of Newton's second law along x, in which it also stands on the right."""
     if drive == "speed":
         return u[4] - state[1] * state[2]
     x = outer_forces(c, now, state[0])[0]
 
     def excess(a_x: float) -> float:
-        delta = steered(c, now, drive, state, u[0], a_x)
-        F = tyre_forces(c, now, drive, state, delta, a_x, u[0])
+        delta = steered(c, now, drive, state, u[0], (a_x, a_y))
+        F = tyre_forces(c, now, drive, state, delta, (a_x, a_y), u[0])
         return (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r + x) / mass(c) - a_x
 
     return root(excess, -100.0, 100.0)
@@ -307,10 +328,23 @@ def longitudinal_acceleration(c: Car, now: Moment, drive: str, state: np.ndarray
 def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     """d(state)/dt for states v_x, v_y, r, omega_f, omega_r, kappa_f, kappa_r, alpha_f, alpha_r; u in INPUTS' order."""
     (v_x, v_y, r), now = state[:3], at(c, u[7], u[8])
-    a_x = longitudinal_acceleration(c, now, drive, state, u)
-    delta = steered(c, now, drive, state, u[0], a_x)
-    F, (_, y, turn) = tyre_forces(c, now, drive, state, delta, a_x, u[0]), outer_forces(c, now, v_x)
-    sideways_f, (l_f, l_r) = F.x_f * math.sin(delta) + F.y_f * math.cos(delta), axles(c)
+    _, y, turn = outer_forces(c, now, v_x)
+
+    def under(a_y: float) -> tuple[float, float, Forces, float]:
+        """a_x, the front wheels' angle, forces and the front axle's across the car, loads being those of a_y."""
+        a_x = longitudinal_acceleration(c, now, drive, state, u, a_y)
+        delta = steered(c, now, drive, state, u[0], (a_x, a_y))
+        F = tyre_forces(c, now, drive, state, delta, (a_x, a_y), u[0])
+        return a_x, delta, F, F.x_f * math.sin(delta) + F.y_f * math.cos(delta)
+
+    def excess(a_y: float) -> float:
+        _, _, F, across = under(a_y)
+        return (across + F.y_r + y) / mass(c) - a_y
+
+    a_y = v_x * r
+    if c["lateral_load_transfer_uneven"] != 0.0:
+        a_y = float(newton(excess, a_y, tol=1e-12))
+    (a_x, delta, F, sideways_f), (l_f, l_r) = under(a_y), axles(c)
     loads, a_y = axle_loads(c, now, a_x, v_x), (sideways_f + F.y_r + y) / mass(c)
     out = np.zeros(9)
     turn += c["lateral_cog_y"] * (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r)

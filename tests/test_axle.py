@@ -1,14 +1,29 @@
-"""An axle whose wheels a turn loads unevenly: two of Dugoff's tyres, in closed form."""
+"""An axle whose wheels a turn loads unevenly: two of Dugoff's tyres, in closed form, with the same torque at both."""
 
+import numpy as np
 import pytest
+from scipy.optimize import brentq
 from test_single_effects import EPS, derived
 
-from vehicle_sbi.physics.axle import axle_force, axle_side_force
+from vehicle_sbi.physics.axle import EQUAL, MOST, axle_force, axle_side_force
+from vehicle_sbi.physics.effects import tyre_force
+
+F_Z, C = 6e3, 8e4  # load [N] and stiffness [N, N/rad] of the axle, at a friction coefficient of 1
 
 
-def axle_side(q: float, z: float, a_y: float, **more: float) -> float:
-    """Side force [N] of an axle of 6 kN and mu 1 at a demand of z grips, half of whose stiffness is each wheel's."""
-    return axle_force(derived(lateral_load_transfer_uneven=q, **more), 1e5, 8e4, 1.0, 6e3, 1.0, 0.0, z * 0.075, a_y)[1]
+def axle(q: float, kappa: float, tan_alpha: float, a_y: float, *, load: float = 1.0, **more: float):
+    """Forces (F_x, F_y) [N] of the axle under `load` times its static one."""
+    p = derived(lateral_load_transfer_uneven=q, **more)
+    return axle_force(p, C, C, 1.0, load * F_Z, load, kappa, tan_alpha, a_y, a_y)
+
+
+def wheels(s: float, kappa: float, tan_alpha: float, d: float, **more: float) -> np.ndarray:
+    """Forces of the outer and the inner wheel, of slips kappa (1 - d) and kappa (1 + d)."""
+    p, half = derived(**more), 0.5 * C
+    shares = ((1.0 + s, 1.0 - d), (1.0 - s, 1.0 + d))  # of the load and of the slip
+    return np.array(
+        [tyre_force(p, half, half, 1.0, 0.5 * of * F_Z, of, part * kappa, tan_alpha, 0.0) for of, part in shares]
+    )
 
 
 def test_an_axle_of_uneven_wheels_is_two_of_dugoff_s_tyres() -> None:
@@ -16,25 +31,58 @@ def test_an_axle_of_uneven_wheels_is_two_of_dugoff_s_tyres() -> None:
     # 1 - 1/(4 z) of its load begins; the outer one's at 0.7. Before the first the axle is one tyre, beyond both it has
     # lost s^2/(4 z) of the grip, to the rounding of a few products.
     s, a_y = 0.4, 5.0
-    q = (s / a_y) ** 2
+    q, middle = (s / a_y) ** 2, 0.5 * (0.5 + 0.6 * (1.0 - 0.25 * 0.6 / 0.5))
     for sign in (-1.0, 1.0):
-        assert axle_side(q, 0.29, sign * a_y) == pytest.approx(0.29 * 6e3, rel=16 * EPS)
-        middle = 0.5 * (0.5 + 0.6 * (1.0 - 0.25 * 0.6 / 0.5))
-        assert axle_side(q, 0.5, sign * a_y) == pytest.approx(middle * 6e3, rel=16 * EPS)
-        assert axle_side(q, 2.0, sign * a_y) == pytest.approx((1.0 - 0.125 * (1.0 + s * s)) * 6e3, rel=16 * EPS)
+        for z, grips in ((0.29, 0.29), (0.5, middle), (2.0, 1.0 - 0.125 * (1.0 + s * s))):
+            assert axle(q, 0.0, z * F_Z / C, sign * a_y)[1] == pytest.approx(grips * F_Z, rel=16 * EPS)
 
 
 def test_a_lifted_wheel_carries_nothing() -> None:
     # sqrt(q) a_y >= 1: the outer wheel alone, of half the stiffness and all of the load.
-    assert axle_side(0.01, 4.0, 12.0) == pytest.approx((1.0 - 0.125) * 6e3, rel=16 * EPS)
+    assert axle(0.01, 0.0, 4.0 * F_Z / C, 12.0)[1] == pytest.approx((1.0 - 0.125) * F_Z, rel=16 * EPS)
+
+
+def test_a_turn_moves_a_share_of_the_static_load() -> None:
+    # Half as much on the axle, as under braking or on a crest: twice the share. Both far beyond the knee.
+    s, load, z = 0.2, 0.5, 4.0
+    expected = load * F_Z * (1.0 - 0.25 * load / z * (1.0 + (s / load) ** 2))
+    assert axle((s / 5.0) ** 2, 0.0, z * F_Z / C, 5.0, load=load)[1] == pytest.approx(expected, rel=16 * EPS)
+
+
+@pytest.mark.parametrize("curve", [{}, {"tyre_curve_peak": 0.3, "tyre_curve_fullness": 0.7}])
+@pytest.mark.parametrize("kappa", [-0.05, -0.005, 0.01, 0.04])
+@pytest.mark.parametrize("tan_alpha", [0.02, -0.06, 0.1])
+def test_both_wheels_have_the_same_force_along_them(curve: dict[str, float], kappa: float, tan_alpha: float) -> None:
+    # Their forces differ by EQUAL of the sum at most; across the wheels a slip changes about as much as along them.
+    s, a_y = 0.5, 5.0
+    found = axle((s / a_y) ** 2, kappa, tan_alpha, a_y, **curve)
+
+    def apart(d: float) -> float:
+        outer, inner = wheels(s, kappa, tan_alpha, d, **curve)
+        return outer[0] - inner[0]
+
+    expected = wheels(s, kappa, tan_alpha, brentq(apart, -MOST, MOST, xtol=1e-15), **curve).sum(axis=0)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=10.0 * EQUAL * F_Z)
+
+
+def test_even_wheels_slip_alike() -> None:
+    # A difference of loads that vanishes leaves one tyre of twice the size.
+    np.testing.assert_allclose(axle(1e-20, 0.03, 0.05, 5.0), axle(0.0, 0.03, 0.05, 5.0), rtol=1e-8)
+
+
+@pytest.mark.parametrize("kappa", [-1.0, -0.7, 0.5, 0.95])
+def test_wheels_that_lock_or_spin_have_no_more_than_the_grip(kappa: float) -> None:
+    F_x, F_y = axle(0.01, kappa, 0.1, 6.0)
+    assert np.sign(F_x) == np.sign(kappa)
+    assert np.hypot(F_x, F_y) <= F_Z * (1.0 + 4 * EPS)
 
 
 @pytest.mark.parametrize("F_x", [0.0, 2000.0])
 def test_a_given_pull_is_shared_between_both_wheels(F_x: float) -> None:
     # Each wheel has its half, so an axle of even wheels is one of two; uneven ones give no more.
     p, even = derived(lateral_load_transfer_uneven=0.01), derived()
-    whole = axle_side_force(even, 8e4, 1.0, 6e3, 1.0, F_x, 0.06, 4.0)
-    assert axle_side_force(p, 8e4, 1.0, 6e3, 1.0, F_x, 0.06, 1e-9) == pytest.approx(whole, rel=1e-9)
-    along, side = axle_side_force(p, 8e4, 1.0, 6e3, 1.0, F_x, 0.06, 4.0)
+    whole = axle_side_force(even, 8e4, 1.0, F_Z, 1.0, F_x, 0.06, 4.0, 4.0)
+    assert axle_side_force(p, 8e4, 1.0, F_Z, 1.0, F_x, 0.06, 1e-9, 1e-9) == pytest.approx(whole, rel=1e-9)
+    along, side = axle_side_force(p, 8e4, 1.0, F_Z, 1.0, F_x, 0.06, 4.0, 4.0)
     assert along == F_x
     assert side < whole[1]

@@ -20,6 +20,7 @@ from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle
 
 EDGE = 0.1  # [s] over which what begins or ends at a moment does so
 KNOTS = 12  # of a profile over the recording, equally spaced
+LEAST_LOAD = 1e-3  # of the static one, that loads are divided by
 LEAST_STIFFNESS = 0.05  # share of a stiffness that no load and no acceleration takes away
 LEAST_LAG = 0.5  # of the way that a wheel rolls in a step of the integrator, the least length that lags as it is
 MOST_GRIP = 0.99  # share of the grip that a given longitudinal force takes, at most
@@ -160,15 +161,15 @@ CATALOGUE: Mapping[str, Effect] = {
                 coefficient=("1", 0.0, 1.0, 0.0)),
         _effect("lateral_load_transfer", "tyre",
                 "an axle loses cornering stiffness, and its inner wheel slides first, as load moves to the outer one",
-                "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2), F_axle = F(F_z (1 + s)/2) + F(F_z (1 - s)/2) "
-                "of two wheels, s = sqrt(uneven) |v_x r| (the full vehicle has its own wheels' loads)",
+                "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2), F_axle = F((F_z + S)/2) + F((F_z - S)/2) of "
+                "two wheels with equal F_x, S = sqrt(uneven) |a_y| F_z,static (the full vehicle has its own wheels)",
                 f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2",
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0),
                 uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0)),
         _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late, instead of saturating",
                 "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(1.3, -1.845) - F_Dugoff), F_x with "
-                "longitudinal in place of peak, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, z = demand "
-                "over grip",
+                "longitudinal in place of peak alone, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, "
+                "z = demand over grip",
                 f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0), longitudinal=("1", 0.0, 1.0, 0.0),
                 fullness=("1", 0.0, 1.0, 0.0)),
         _effect("relaxation", "tyre", "slips build up over a rolled length, beyond the file's C_alpha / K",
@@ -604,9 +605,10 @@ def lateral_load_transfer(p, a_y: float) -> float:
 
 
 @compiled
-def uneven(p, a_y: float) -> float:
-    """By which share the load of an axle's outer wheel is above, and that of its inner one below, the mean."""
-    return min(math.sqrt(p.lateral_load_transfer_uneven) * abs(a_y), 1.0)
+def uneven(p, load: float, a_y: float) -> float:
+    """By which share the load of an axle's outer wheel is above, and that of its inner one below, the mean of both,
+    which is `load` times the static one."""
+    return min(math.sqrt(p.lateral_load_transfer_uneven) * abs(a_y) / max(load, LEAST_LOAD), 1.0)
 
 
 @compiled
@@ -616,9 +618,10 @@ def tyre_curve(p, z: float) -> tuple[float, float]:
     if z == 0.0:
         return 1.0, 1.0
     saturating = z if z <= 0.5 else 1.0 - 0.25 / z
-    peak, late = peaked_and_full(z)
-    peaked, full = peak / saturating - 1.0, late / saturating - 1.0
-    return 1.0 + p.tyre_curve_longitudinal * peaked, 1.0 + p.tyre_curve_peak * peaked + p.tyre_curve_fullness * full
+    peaked, full = peaked_and_full(z)
+    peaked, full = peaked / saturating - 1.0, full / saturating - 1.0
+    late = 1.0 + p.tyre_curve_fullness * full
+    return late + p.tyre_curve_longitudinal * peaked, late + p.tyre_curve_peak * peaked
 
 
 @compiled
@@ -665,7 +668,13 @@ def wheel_radius(p) -> tuple[float, float]:
 @compiled
 def ignores_load(p) -> bool:
     """Whether the force that `axle_force` gives below the knee is the same under any load."""
-    return p.load_sensitivity_coefficient == 0.0 and p.lateral_load_transfer_uneven == 0.0 and not curved(p)
+    return p.load_sensitivity_coefficient == 0.0 and not moves_load_across(p) and not curved(p)
+
+
+@compiled
+def moves_load_across(p) -> bool:
+    """Whether a turn moves load from an axle's inner wheel to its outer one, and the model counts with it."""
+    return p.lateral_load_transfer_uneven != 0.0
 
 
 @compiled

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from vehicle_sbi.physics.axle import axle_force, axle_side_force
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, lateral_cog, pulls
+from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, lateral_cog, moves_load_across, pulls
 from vehicle_sbi.physics.tyre import effective_radius, grips
 
 TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2
@@ -153,7 +153,7 @@ def implied(p, out: Outside, a_x: float) -> float:
 def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     """Forces of both axles under the loads of an acceleration a_x [m/s^2], and the acceleration that they cause.
 
-    It moves load lengthwise alone: a_y is passed on. Tyres whose slips lag and that do not saturate, neither under
+    a_y is passed on where it moves no load. Tyres whose slips lag and that do not saturate, neither under
     these loads nor under those of the acceleration that they cause, have the same forces under both.
     """
     out, relaxed = car.outside, car.share_f == 1.0 and car.share_r == 1.0
@@ -165,27 +165,30 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     load_f, load_r = F_zf / p.F_zf_static, F_zr / p.F_zr_static
     C_f, C_r = p.stiff_f * p.C_alpha_f, p.stiff_r * p.C_alpha_r
     if car.drive == SPEED:
-        F_xf, F_yf = axle_side_force(p, C_f, mu_f, F_zf, load_f, car.pull_f, tan_f, out.steady)
-        F_xr, F_yr = axle_side_force(p, C_r, mu_r, F_zr, load_r, car.pull_r, car.tan_r, out.steady)
+        F_xf, F_yf = axle_side_force(p, C_f, mu_f, F_zf, load_f, car.pull_f, tan_f, out.steady, a_y)
+        F_xr, F_yr = axle_side_force(p, C_r, mu_r, F_zr, load_r, car.pull_r, car.tan_r, out.steady, a_y)
     else:
         kappa_f, kappa_r = car.kappa_f, car.kappa_r
         if not relaxed:
             _, _, now_f, now_r = rolling(p, car, front, F_zf, F_zr)
             kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
-        F_xf, F_yf = axle_force(p, p.stiff_f * p.C_kappa_f, C_f, mu_f, F_zf, load_f, kappa_f, tan_f, out.steady)
-        F_xr, F_yr = axle_force(p, p.stiff_r * p.C_kappa_r, C_r, mu_r, F_zr, load_r, kappa_r, car.tan_r, out.steady)
+        F_xf, F_yf = axle_force(p, p.stiff_f * p.C_kappa_f, C_f, mu_f, F_zf, load_f, kappa_f, tan_f, out.steady, a_y)
+        F_xr, F_yr = axle_force(
+            p, p.stiff_r * p.C_kappa_r, C_r, mu_r, F_zr, load_r, kappa_r, car.tan_r, out.steady, a_y
+        )
     F_along = F_xf * front.cosine - F_yf * front.sine + F_xr
     F_lateral_f = F_xf * front.sine + F_yf * front.cosine
     solved = a_x if car.drive == SPEED else (F_along + out.push_x) / p.mass
     moved = abs(p.load_transfer * (solved - a_x))
     final = relaxed and ignores_load(p)
     final = final and grips(mu_f, F_zf - moved, F_xf, F_yf) and grips(mu_r, F_zr - moved, F_xr, F_yr)
-    return Forces(solved, a_y, final, F_xf, F_yf, F_along, F_lateral_f, F_xr, F_yr)
+    solved_y = (F_lateral_f + F_yr + out.push_y) / p.mass if moves_load_across(p) else a_y
+    return Forces(solved, solved_y, final, F_xf, F_yf, F_along, F_lateral_f, F_xr, F_yr)
 
 
 @compiled
 def derivatives(p, drive: int, u, state, rate) -> None:
-    """Fill rate (9,) with d(state)/dt; rate[V_X] on entry is the guess from which the load-transfer loop starts."""
+    """Fill rate (9,) with d(state)/dt; what of v_x and v_y it has on entry is where the load-transfer loop starts."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     speed, v_yf = regular(v_x), v_y + p.l_front * r
     share_f, share_r = lag_share(p, p.sigma_f, speed), lag_share(p, p.sigma_r, speed)
@@ -211,7 +214,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         pull_f=pull_f,
         pull_r=pull_r,
     )
-    found, front, a_x, _ = settled(forces, p, car, given - v_y * r, 0.0)
+    found, front, a_x, _ = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
     F_zf, F_zr = loads(p, car, a_x)
     rolls = rolling(p, car, front, F_zf, F_zr)
 
