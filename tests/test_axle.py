@@ -14,7 +14,7 @@ F_Z, C = 6e3, 8e4  # load [N] and stiffness [N, N/rad] of the axle, at a frictio
 def axle(q: float, kappa: float, tan_alpha: float, a_y: float, *, load: float = 1.0, **more: float):
     """Forces (F_x, F_y) [N] of the axle under `load` times its static one."""
     p = derived(lateral_load_transfer_uneven=q, **more)
-    return axle_force(p, C, C, 1.0, load * F_Z, load, kappa, tan_alpha, a_y, a_y)
+    return axle_force(p, C, C, 1.0, load * F_Z, load, kappa, tan_alpha, a_y, a_y, 0.0)[:2]
 
 
 def wheels(s: float, kappa: float, tan_alpha: float, d: float, **more: float) -> np.ndarray:

@@ -258,7 +258,8 @@ def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, n
 
     fields = {field: within(p) for p in (*GENERIC_PRIORS.values(), *EFFECT_PARAMETERS.values()) for field in p.fields}
     records = record_of(PAPER, **fields)
-    for field in ("load_sensitivity_coefficient", "tyre_curve_peak", "steering_compliance_coefficient"):
+    switched = ("load_sensitivity_coefficient", "tyre_curve_peak", "steering_compliance_coefficient")
+    for field in (*switched, "lateral_load_transfer_uneven"):
         records[field] *= rng.integers(2)
     records["C_vert"] = rng.uniform(2e5, 4e5)
     records["K"] = rng.uniform(5e4, 5e5) if relaxed else math.inf

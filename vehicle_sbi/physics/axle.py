@@ -14,7 +14,7 @@ import math
 from vehicle_sbi.physics.compiled import compiled
 from vehicle_sbi.physics.effects import side_force, tyre_force, uneven
 
-EQUAL = 1e-10  # difference of both longitudinal forces over their sum, where the search for d ends
+EQUAL = 1e-9  # difference of both longitudinal forces over their sum, where the search for d ends
 SPLITS = 40  # steps of it at most
 MOST = 0.98  # a wheel keeps a little of the slip
 
@@ -31,17 +31,20 @@ def axle_force(
     tan_alpha: float,
     steady: float,
     a_y: float,
-) -> tuple[float, float]:
-    """Forces (F_x, F_y) [N] of an axle under F_z [N], `load` times its static one, at a_y [m/s^2], of a `steady` turn.
+    d: float,
+) -> tuple[float, float, float]:
+    """Forces (F_x, F_y) [N] of an axle under F_z [N], `load` times its static one, at a_y [m/s^2], of a `steady` turn,
+    and how unequal its wheels' slips are; `d` is about that.
 
-    d is found by the secant method between bounds, from where it would be if forces were in proportion to slips. It is
-    at a bound where no slip of the inner wheel is enough: there it spins or locks.
+    It is found by the secant method between bounds, at first as if forces were in proportion to slips. It is at a bound
+    where no slip of the inner wheel is enough: there it spins or locks.
     """
     s = uneven(p, load, a_y)
     if s == 0.0:
-        return tyre_force(p, C_kappa, C_alpha, mu, F_z, load, kappa, tan_alpha, steady)
+        F_x, F_y = tyre_force(p, C_kappa, C_alpha, mu, F_z, load, kappa, tan_alpha, steady)
+        return F_x, F_y, 0.0
     C_kappa, C_alpha, F_z = 0.5 * C_kappa, 0.5 * C_alpha, 0.5 * F_z
-    d = led = more_led = 0.0
+    led = more_led = 0.0
     low, high = -MOST, MOST
     for step in range(SPLITS + 1):
         slip_o, slip_i = max((1.0 - d) * kappa, -1.0), max((1.0 + d) * kappa, -1.0)
@@ -54,10 +57,10 @@ def axle_force(
             low = d
         else:
             high = d
-        following = d + (more * (d - led) / (more_led - more) if step > 0 else more / both)
+        following = d + (more * (d - led) / (more_led - more) if step > 0 else (1.0 - d * d) * more / both)
         led, more_led = d, more
         d = following if low < following < high else 0.5 * (low + high)
-    return x_o + x_i, y_o + y_i
+    return x_o + x_i, y_o + y_i, d
 
 
 @compiled

@@ -154,7 +154,8 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     """Forces of both axles under the loads of an acceleration a_x [m/s^2], and the acceleration that they cause.
 
     a_y is passed on where it moves no load. Tyres whose slips lag and that do not saturate, neither under
-    these loads nor under those of the acceleration that they cause, have the same forces under both.
+    these loads nor under those of the acceleration that they cause, have the same forces under both. How unequal the
+    slips of an axle's wheels are is kept, for the next search begins there.
     """
     out, relaxed = car.outside, car.share_f == 1.0 and car.share_r == 1.0
     F_zf, F_zr = loads(p, car, a_x)
@@ -172,9 +173,10 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
         if not relaxed:
             _, _, now_f, now_r = rolling(p, car, front, F_zf, F_zr)
             kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
-        F_xf, F_yf = axle_force(p, p.stiff_f * p.C_kappa_f, C_f, mu_f, F_zf, load_f, kappa_f, tan_f, out.steady, a_y)
-        F_xr, F_yr = axle_force(
-            p, p.stiff_r * p.C_kappa_r, C_r, mu_r, F_zr, load_r, kappa_r, car.tan_r, out.steady, a_y
+        C_kf, C_kr = p.stiff_f * p.C_kappa_f, p.stiff_r * p.C_kappa_r
+        F_xf, F_yf, p.split_f = axle_force(p, C_kf, C_f, mu_f, F_zf, load_f, kappa_f, tan_f, out.steady, a_y, p.split_f)
+        F_xr, F_yr, p.split_r = axle_force(
+            p, C_kr, C_r, mu_r, F_zr, load_r, kappa_r, car.tan_r, out.steady, a_y, p.split_r
         )
     F_along = F_xf * front.cosine - F_yf * front.sine + F_xr
     F_lateral_f = F_xf * front.sine + F_yf * front.cosine
