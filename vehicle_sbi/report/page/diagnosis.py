@@ -42,13 +42,13 @@ LABELS = {"recorded": "recorded", "base": "base model", "extended": "extended mo
 BAND = {"band": "its 90 % band"}
 PARAMETERS = {"base": "base model alone", "extended": "averaged over what may be missing"}
 OF_CURVES = (
-    "Where the extended model meets the recorded signal and the base model does not, something was missing. Gaps were "
-    "held out, or lie beside what was."
+    "Where only the extended model meets the recorded signal, something was missing. Gaps were held out, or lie beside "
+    "what was."
 )
 OF_BASE_ALONE = "Recorded signals over those of the base model, to which nothing had to be added."
 OF_BARS = (
-    "How probable it is that each effect is missing, whatever else is. Right of the dashed line it is named. Sizes are "
-    "mean ± one standard deviation."
+    "How probable it is that each effect is missing. Right of the dashed line it is named. Sizes: mean ± one standard "
+    "deviation."
 )
 OF_RANGES = "Each base parameter within its prior's box, with 90 % intervals. Those that move had hidden it."
 OF_REST = "Recorded less simulated, smoothed over a quarter of a second. A good model leaves a line about zero."
