@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from reference_single_track import root
 from test_single_effects import EPS, derived
 
 from vehicle_sbi.physics.axle import EQUAL, MOST, axle_force, axle_side_force
@@ -61,7 +61,7 @@ def test_both_wheels_have_the_same_force_along_them(curve: dict[str, float], kap
         outer, inner = wheels(s, kappa, tan_alpha, d, **curve)
         return outer[0] - inner[0]
 
-    expected = wheels(s, kappa, tan_alpha, brentq(apart, -MOST, MOST, xtol=1e-15), **curve).sum(axis=0)
+    expected = wheels(s, kappa, tan_alpha, root(apart, -MOST, MOST), **curve).sum(axis=0)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=10.0 * EQUAL * F_Z)
 
 

@@ -29,7 +29,9 @@ def test_a_p_value_that_no_draw_of_noise_reaches_is_a_bound() -> None:
 
 def test_a_factor_is_said_of_what_the_vehicle_file_states() -> None:
     half, nominal = Estimate(0.5, 0.1, 0.4, 0.6, "1"), nominal_record(PAPER)
-    assert in_the_car("friction_level.factor", half, nominal) == f" (mu {PAPER.mu / 2:.3g}, stated {PAPER.mu:.3g})"
+    assert (
+        in_the_car("friction_level.factor", half, nominal) == f" (mu {0.5 * nominal['mu']:.3g}, stated {PAPER.mu:.3g})"
+    )
     assert in_the_car("payload.mass", half, nominal) == f" (beside m {PAPER.m:.4g})"
     assert in_the_car("yaw_inertia.factor", half, nominal) == ""  # this file states none
     assert in_the_car("steering_ratio.gain", half, nominal) == ""

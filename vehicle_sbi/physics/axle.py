@@ -44,7 +44,7 @@ def axle_force(
         F_x, F_y = tyre_force(p, C_kappa, C_alpha, mu, F_z, load, kappa, tan_alpha, steady)
         return F_x, F_y, 0.0
     C_kappa, C_alpha, F_z = 0.5 * C_kappa, 0.5 * C_alpha, 0.5 * F_z
-    led = more_led = 0.0
+    x_o = y_o = x_i = y_i = led = more_led = 0.0
     low, high = -MOST, MOST
     for step in range(SPLITS + 1):
         slip_o, slip_i = max((1.0 - d) * kappa, -1.0), max((1.0 + d) * kappa, -1.0)
