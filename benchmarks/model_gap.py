@@ -1,0 +1,77 @@
+"""What the tool's model leaves of a whole car's world in which no effect is missing, without noise.
+
+    .venv/bin/python benchmarks/model_gap.py 203 3 23 47     (a seed and numbers of cases; half a minute each)
+
+The twin has other tyres than the tool's model, and wheels whose loads are uneven in a turn. Base parameters and those
+of `tyre_curve` and `lateral_load_transfer` are fitted to what its sensors would read, then the friction beside them.
+What is left is a signal-to-noise ratio, in standard deviations of the case's noise: what no parameter can take over,
+and what is then taken by friction, which is not off.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+
+import numpy as np
+import pandas as pd
+from concealed.twin import Twin
+from whole_car.cars import WholeCar
+from whole_car.cases import _driven, _series, _simulator
+
+from vehicle_sbi.mismatch.estimation.fit import descend
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
+from vehicle_sbi.physics.vehicle import GRAVITY
+
+INHERENT = tuple(p.name for name in ("tyre_curve", "lateral_load_transfer") for p in CATALOGUE[name].parameters)
+FRICTION = "friction_level.factor"
+START = {"tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004}
+STEPS = 30
+
+
+def bare(seed: int, index: int) -> WholeCar:
+    """The car of a case, its IMU on a level platform and nothing missing."""
+    car, _ = _driven(seed, index)
+    if not isinstance(car.world, Twin):
+        raise SystemExit(f"error: case {index} is a multi-body car")
+    return replace(car, world=replace(car.world, on_body=False))
+
+
+def left(car: WholeCar, names: Sequence[str]) -> tuple[float, dict[str, float]]:
+    """The signal-to-noise ratio of what a fit leaves, and the fitted values of these parameters."""
+    series = _series(car, car.train, {})
+    if series is None:
+        raise SystemExit("error: without its effects this car cannot be driven so")
+    simulator, added = _simulator(car, series), [EFFECT_PARAMETERS[name] for name in names]
+    space = ParameterSpace((*simulator.space.parameters, *added))
+    start = [car.base[name] for name in simulator.space.names] + [START.get(p.name, p.null) for p in added]
+    freed = replace(simulator, space=space)
+    observed = np.where(freed.windows.valid, freed.windows.y, 0.0)
+    fit = descend(Observation(freed, observed, True), np.clip(np.array(start, float), space.low, space.high), STEPS)
+    if fit is None:
+        raise SystemExit("error: the model cannot be simulated there")
+    ratio = float(np.linalg.norm(fit.unexplained / freed.noise.floor[:, None]))
+    return ratio, dict(zip(space.names, map(float, fit.theta), strict=True))
+
+
+def row(seed: int, index: int) -> dict[str, object]:
+    car = bare(seed, index)
+    own, found = left(car, INHERENT)
+    freer, with_friction = left(car, (*INHERENT, FRICTION))
+    return {
+        "case": index, "drive": car.given.drive, "peak a_y": round(car.peak, 1), "left": own, "with friction": freer,
+        "friction": with_friction[FRICTION], "uneven": found["lateral_load_transfer.uneven"],
+        "by height and track": (2.0 * (car.truth.h_cog or 0.0) / (GRAVITY * 1.55)) ** 2,
+    }  # fmt: skip
+
+
+def main(seed: str, *cases: str) -> None:
+    print(pd.DataFrame([row(int(seed), int(index)) for index in cases]).to_markdown(index=False, floatfmt=".3g"))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
