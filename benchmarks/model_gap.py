@@ -30,7 +30,8 @@ from vehicle_sbi.physics.vehicle import GRAVITY
 INHERENT = tuple(p.name for name in ("tyre_curve", "lateral_load_transfer") for p in CATALOGUE[name].parameters)
 FRICTION = "friction_level.factor"
 START = {"tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004}
-STEPS = 30
+STEPS = 30  # of Gauss-Newton
+TRACK = 1.55  # [m], of every twin (`concealed.twin`)
 
 
 def bare(seed: int, index: int) -> WholeCar:
@@ -65,7 +66,7 @@ def row(seed: int, index: int) -> dict[str, object]:
     return {
         "case": index, "drive": car.given.drive, "peak a_y": round(car.peak, 1), "left": own, "with friction": freer,
         "friction": with_friction[FRICTION], "uneven": found["lateral_load_transfer.uneven"],
-        "by height and track": (2.0 * (car.truth.h_cog or 0.0) / (GRAVITY * 1.55)) ** 2,
+        "by height and track": (2.0 * (car.truth.h_cog or 0.0) / (GRAVITY * TRACK)) ** 2,
     }  # fmt: skip
 
 

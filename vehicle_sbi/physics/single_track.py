@@ -153,9 +153,9 @@ def implied(p, out: Outside, a_x: float) -> float:
 def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     """Forces of both axles under the loads of an acceleration a_x [m/s^2], and the acceleration that they cause.
 
-    a_y is passed on where it moves no load. Tyres whose slips lag and that do not saturate, neither under
-    these loads nor under those of the acceleration that they cause, have the same forces under both. How unequal the
-    slips of an axle's wheels are is kept, for the next search begins there.
+    a_y is passed on where it moves no load. Tyres whose slips lag and that do not saturate, neither under these loads
+    nor under those of the acceleration that they cause, have the same forces under both. How unequal the slips of an
+    axle's wheels are is kept: the next search begins there.
     """
     out, relaxed = car.outside, car.share_f == 1.0 and car.share_r == 1.0
     F_zf, F_zr = loads(p, car, a_x)
