@@ -29,7 +29,7 @@ from vehicle_sbi.physics.vehicle import GRAVITY
 
 INHERENT = tuple(p.name for name in ("tyre_curve", "lateral_load_transfer") for p in CATALOGUE[name].parameters)
 FRICTION = "friction_level.factor"
-START = {"tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004}
+START = {"tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004, "lateral_load_transfer.track": 1.5}
 STEPS = 30  # of Gauss-Newton
 TRACK = 1.55  # [m], of every twin (`concealed.twin`)
 

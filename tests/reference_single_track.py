@@ -12,6 +12,7 @@ with downforce on top of both. Holds for v_x > 1 m/s and omega > 1 rad/s, where 
 that do not lock.
 """
 
+import itertools
 import math
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -35,13 +36,18 @@ class Moment(NamedTuple):
     course: float = 0.0  # of the load that no effect stands for
 
 
+class SeveralSplits(Exception):
+    """Tyres whose forces fall beyond their peaks may share a torque in several ways."""
+
+
 class Forces(NamedTuple):
-    """Tyre forces [N] in the wheels' own axes."""
+    """Tyre forces [N] of the axles in the wheels' own axes, and the yaw moment [N m] of right less left."""
 
     x_f: float
     y_f: float
     x_r: float
     y_r: float
+    turn: float
 
 
 def car_of(record: np.void) -> dict[str, float]:
@@ -162,9 +168,9 @@ def tyre(
 
 
 def full_curve(z: float) -> float:
-    """Force over grip of the magic formula with C = 1.3 and E = -1.845."""
-    w = z / 1.3
-    return math.sin(1.3 * math.atan(w + 1.845 * (w - math.atan(w))))
+    """Force over grip of the magic formula with C = 3/2 and E = -17/8."""
+    w = z / 1.5
+    return math.sin(1.5 * math.atan(w + 2.125 * (w - math.atan(w))))
 
 
 def pulled_tyre(
@@ -252,44 +258,68 @@ def tyre_forces(
     alphas = [float(state[7 + i]) if lags else alphas[i] for i, lags in enumerate(lagging)]
     (l_f, l_r), N, steady = axles(c), weight(c), state[0] * state[2]
     statics, stiff, slide = (N * l_r / c["L"], N * l_f / c["L"]), levels(c, "stiffness_level"), friction(c)
+    shifted = N * c["lateral_load_transfer_front"]
+    borne = max(statics[0] + shifted, 0.0), max(statics[1] - shifted, 0.0)
     pulls = implied_pulls(c, now, state[0], state[2], command, a_x)
-    found = []
+    found, turn, angles = [], 0.0, wheel_angles(c, state, alphas)
     for i, axle in enumerate("fr"):
         C, mu = (stiff[i] * c[f"C_kappa_{axle}"], stiff[i] * c[f"C_alpha_{axle}"]), now.mu * slide[i]
-        wheels, half, static = wheel_loads(c, loads[i], statics[i], a_y), (C[0] / 2.0, C[1] / 2.0), statics[i] / 2.0
+        wheels, half, static = wheel_loads(c, loads[i], borne[i], a_y), (C[0] / 2.0, C[1] / 2.0), statics[i] / 2.0
         if drive == "speed":
-            pair = [pulled_tyre(c, half[1], mu, load, static, pulls[i] / 2.0, alphas[i], steady) for load in wheels]
+            pair = [
+                pulled_tyre(c, half[1], mu, load, static, pulls[i] / 2.0, angles[i][k], steady)
+                for k, load in enumerate(wheels)
+            ]
         else:
-            pair = driven_pair(c, half, mu, wheels, static, (kappas[i], alphas[i]), steady)
+            pair = driven_pair(c, half, mu, wheels, static, (kappas[i], *angles[i]), steady)
         found += np.sum(pair, axis=0).tolist()
-    return Forces(*found)
+        turned = delta if axle == "f" else 0.0
+        along = [x * math.cos(turned) - y * math.sin(turned) for x, y in pair]
+        turn += c["lateral_load_transfer_track"] / 2.0 * (along[0] - along[1])
+    return Forces(*found, turn)
 
 
-def wheel_loads(c: Car, F_z: float, static: float, a_y: float) -> tuple[float, float]:
-    """Loads [N] of an axle's outer and inner wheel: a turn moves a share of the static load from one to the other, and
-    no more than all that the inner one has."""
-    moved = min((c["lateral_load_transfer_uneven"] * a_y**2) ** 0.5 * static, F_z)
+def wheel_angles(c: Car, state: np.ndarray, alphas: list[float]) -> list[tuple[float, float]]:
+    """Slip angles [rad] of each axle's right and left wheel, which move at v_x + r track/2 and v_x - r track/2."""
+    v_x, v_y, r = state[:3]
+    found, half = [], c["lateral_load_transfer_track"] / 2.0
+    for alpha, x in zip(alphas, (axles(c)[0], -axles(c)[1]), strict=True):
+        middle, right, left = (math.atan2(v_y + x * r, v_x + r * aside) for aside in (0.0, half, -half))
+        found.append((alpha + middle - right, alpha + middle - left))
+    return found
+
+
+def wheel_loads(c: Car, F_z: float, borne: float, a_y: float) -> tuple[float, float]:
+    """Loads [N] of an axle's right and left wheel: a turn moves a share of what the axle bears of the car's weight
+    from the inner one to the outer one, and no more than all that the inner one has."""
+    moved = min((c["lateral_load_transfer_uneven"] * a_y**2) ** 0.5 * borne, F_z) * np.sign(a_y)
     return (F_z + moved) / 2.0, (F_z - moved) / 2.0
 
 
 def driven_pair(
     c: Car, C: tuple[float, float], mu: float, wheels: tuple[float, float], static: float,
-    slips: tuple[float, float], steady: float,
+    slips: tuple[float, float, float], steady: float,
 ) -> list[tuple[float, float]]:  # fmt: skip
-    """Forces of both wheels of an axle with the same torque: slips kappa (1 - d) and kappa (1 + d) whose forces along
-    the wheels are equal, or as near as the inner wheel's slip can bring them."""
+    """Forces of both wheels of an axle with the same torque, at slips kappa, alpha_right, alpha_left: kappa (1 - d) and
+    kappa (1 + d) whose forces along the wheels are equal, or as near as one wheel's slip can bring them."""
 
     def pair(d: float) -> list[tuple[float, float]]:
-        each = zip(wheels, (1.0 - d, 1.0 + d), strict=True)
-        return [tyre(c, C, mu, load, static, (part * slips[0], slips[1]), steady) for load, part in each]
+        each = zip(wheels, (1.0 - d, 1.0 + d), slips[1:], strict=True)
+        return [tyre(c, C, mu, load, static, (part * slips[0], alpha), steady) for load, part, alpha in each]
 
     def apart(d: float) -> float:
-        outer, inner = pair(d)
-        return (outer[0] - inner[0]) * np.sign(slips[0])
+        right, left = pair(d)
+        return (right[0] - left[0]) * np.sign(slips[0])
 
-    if slips[0] == 0.0 or wheels[0] == wheels[1]:
+    if slips[0] == 0.0 or (wheels[0] == wheels[1] and slips[1] == slips[2]):
         return pair(0.0)
-    return pair(0.98 if apart(0.98) > 0.0 else root(apart, -0.98, 0.98))
+    if c.get("one_split"):
+        signs = [apart(d) > 0.0 for d in np.linspace(-0.98, 0.98, 400)]
+        if sum(a != b for a, b in itertools.pairwise(signs)) > 1:
+            raise SeveralSplits
+    if apart(0.98) > 0.0:
+        return pair(0.98)
+    return pair(-0.98 if apart(-0.98) < 0.0 else root(apart, -0.98, 0.98))
 
 
 def friction(c: Car) -> tuple[float, float]:
@@ -347,7 +377,7 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     (a_x, delta, F, sideways_f), (l_f, l_r) = under(a_y), axles(c)
     loads, a_y = axle_loads(c, now, a_x, v_x), (sideways_f + F.y_r + y) / mass(c)
     out = np.zeros(9)
-    turn += c["lateral_cog_y"] * (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r)
+    turn += F.turn + c["lateral_cog_y"] * (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r)
     out[:3] = a_x + v_y * r, a_y - v_x * r, (l_f * sideways_f - l_r * F.y_r + turn) / yaw_inertia(c)
     if drive == "torque":
         R_f, R_r = effective_radius(c, loads[0], "front"), effective_radius(c, loads[1], "rear")

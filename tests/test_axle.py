@@ -5,7 +5,7 @@ import pytest
 from reference_single_track import root
 from test_single_effects import EPS, derived
 
-from vehicle_sbi.physics.axle import EQUAL, MOST, axle_force, axle_side_force
+from vehicle_sbi.physics.axle import EQUAL, MOST, Slips, axle_force, axle_side_force
 from vehicle_sbi.physics.effects import tyre_force
 
 F_Z, C = 6e3, 8e4  # load [N] and stiffness [N, N/rad] of the axle, at a friction coefficient of 1
@@ -14,7 +14,7 @@ F_Z, C = 6e3, 8e4  # load [N] and stiffness [N, N/rad] of the axle, at a frictio
 def axle(q: float, kappa: float, tan_alpha: float, a_y: float, *, load: float = 1.0, **more: float):
     """Forces (F_x, F_y) [N] of the axle under `load` times its static one."""
     p = derived(lateral_load_transfer_uneven=q, **more)
-    return axle_force(p, C, C, 1.0, load * F_Z, load, kappa, tan_alpha, a_y, a_y, 0.0)[:2]
+    return axle_force(p, C, C, 1.0, load * F_Z, load, Slips(kappa, tan_alpha, tan_alpha, 0.0), a_y, a_y)[:2]
 
 
 def wheels(s: float, kappa: float, tan_alpha: float, d: float, **more: float) -> np.ndarray:
@@ -81,8 +81,10 @@ def test_wheels_that_lock_or_spin_have_no_more_than_the_grip(kappa: float) -> No
 def test_a_given_pull_is_shared_between_both_wheels(F_x: float) -> None:
     # Each wheel has its half, so an axle of even wheels is one of two; uneven ones give no more.
     p, even = derived(lateral_load_transfer_uneven=0.01), derived()
-    whole = axle_side_force(even, 8e4, 1.0, F_Z, 1.0, F_x, 0.06, 4.0, 4.0)
-    assert axle_side_force(p, 8e4, 1.0, F_Z, 1.0, F_x, 0.06, 1e-9, 1e-9) == pytest.approx(whole, rel=1e-9)
-    along, side = axle_side_force(p, 8e4, 1.0, F_Z, 1.0, F_x, 0.06, 4.0, 4.0)
+    slips = Slips(0.0, 0.06, 0.06, 0.0)
+    whole = axle_side_force(even, 8e4, 1.0, F_Z, 1.0, F_x, slips, 4.0, 4.0)
+    level = axle_side_force(p, 8e4, 1.0, F_Z, 1.0, F_x, slips, 1e-9, 1e-9)
+    assert level[:2] == pytest.approx(whole[:2], rel=1e-9)
+    along, side, *_ = axle_side_force(p, 8e4, 1.0, F_Z, 1.0, F_x, slips, 4.0, 4.0)
     assert along == F_x
     assert side < whole[1]

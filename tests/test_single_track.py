@@ -280,11 +280,17 @@ def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, n
 def test_right_hand_side_agrees_with_the_reference(drive: str, relaxed: bool) -> None:
     # The load-transfer loop may be off by 1e-9 m/s^2, a force by m * 1e-9 = 4e-6 N, which the lightest wheel (1 kg m^2,
     # lever 0.45 m) turns into 2e-6 rad/s^2; slips react to a load with C_kappa/(6 C_vert R) < 1 of that.
-    rng = np.random.default_rng(20)
+    # Where tyres fall beyond their peaks, both wheels of an axle may share its torque in several ways: few states.
+    rng, several = np.random.default_rng(20), 0
     for _ in range(200):
         records, state, u = random_drive(rng, relaxed)
-        expected = reference.rates(reference.car_of(records[0]), drive, state, u)
-        assert rate_of(records, drive, state, u) == pytest.approx(expected, rel=1e-9, abs=1e-5)
+        car = reference.car_of(records[0])
+        expected = pytest.approx(reference.rates(car, drive, state, u), rel=1e-9, abs=1e-5)
+        if rate_of(records, drive, state, u) != expected:
+            several += 1
+            with pytest.raises(reference.SeveralSplits):
+                reference.rates(car | {"one_split": 1.0}, drive, state, u)
+    assert several <= 5
 
 
 # --- where it starts ------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ RATE = 1000.0  # Hz, of the integrator at least
 FIELDS = (
     "m I_z l_f l_r h track C_kappa_f C_kappa_r C_alpha_f C_alpha_r mu R_f R_r softness I_wf I_wr sigma_f sigma_r C E "
     "K_phi D_phi J_phi lever front drag_area lift_area lift_front c_rr compliance rear_compliance roll_steer "
-    "load_sensitivity load_transfer uneven curve vectoring pull cog_y"
+    "load_sensitivity load_transfer uneven curve vectoring pull cog_y uneven_front"
 ).split()
 CAR = np.dtype([(name, np.float64) for name in FIELDS])
 DELTA, T_F, T_R, F_X, F_Y, M_Z, GRIP, WARMTH, DRAG, G_X = range(10)
@@ -61,8 +61,9 @@ def derivatives(p, u, x, last, rate) -> None:
     front = p.m * GRAVITY * p.l_r / L - shift + p.lift_front * p.lift_area * air
     rear = p.m * GRAVITY * p.l_f / L + shift + (1.0 - p.lift_front) * p.lift_area * air
     more = 0.5 * p.uneven * a_y
-    across_f = (p.front * roll_spring + rest * p.l_r / L) / p.track + more * front
-    across_r = ((1.0 - p.front) * roll_spring + rest * p.l_f / L) / p.track + more * rear
+    weight = p.m * GRAVITY
+    across_f = (p.front * roll_spring + rest * p.l_r / L) / p.track + more * (front + p.uneven_front * weight)
+    across_r = ((1.0 - p.front) * roll_spring + rest * p.l_f / L) / p.track + more * (rear - p.uneven_front * weight)
     sum_x = u[F_X] - p.drag_area * air - p.c_rr * (front + rear)
     sum_y, turn = u[F_Y] + p.pull * v_x * v_x, u[M_Z] + p.vectoring * u[DELTA]
     delta_f = u[DELTA] - p.compliance * last[2] + p.roll_steer * v_x * r
@@ -199,6 +200,7 @@ class Twin:
             "load_sensitivity": of("load_sensitivity", "coefficient"), "curve": of("tyre_curve", "peak"),
             "load_transfer": of("lateral_load_transfer", "coefficient"),
             "uneven": math.sqrt(of("lateral_load_transfer", "uneven")),
+            "uneven_front": of("lateral_load_transfer", "front"),
             "cog_y": of("lateral_cog", "y"),
             "rear_compliance": of("rear_compliance_steer", "coefficient"),
             "vectoring": of("torque_vectoring", "moment"), "pull": of("growing_side_pull", "force"),

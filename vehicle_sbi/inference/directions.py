@@ -24,6 +24,7 @@ from vehicle_sbi.physics.size import size_of
 STEPS = (0.05, 0.3, 0.6)  # of a parameter's prior width, for differences from its null; the first one from which the
 # change is about in proportion is taken: enough for a lag to outlast a sample, and for grip to be used up
 STEEPER = 3.0  # times as steep as at a step the change may be at a longer one, for the step to be long enough
+ROUNDING = 1e-6  # of a channel's noise: over 1e6 samples an SNR of 1e-3, which nobody sees
 MOST = 0.9  # of the way to the prior's farther bound, at most
 SHAPES = 3  # values at which a parameter of shape is held
 SPAN = ("start", "duration")
@@ -158,37 +159,46 @@ def directions(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Eff
     others are tried with it held in the middle of its prior. If no parameter acts by itself, the first one that makes
     the effect vanish whatever the shape is the direction.
     """
-    effect = within(simulator, effect)
-    found = next((found for step in STEPS if (found := _stepping(simulator, theta, effect, step))), [])
-    return _in_proportion(simulator, theta, found) if found else []
+    free = [p for p in within(simulator, effect).parameters if p.name not in simulator.space.names]
+    alone = _alone(simulator, theta, free)
+    held = {p: middle(p) for p in free if p not in alone}
+    found = [Direction(effect.name, p, held, step) for p, step in alone.items()]
+    found = found or _vanishing(simulator, theta, effect.name, held)
+    return _in_proportion(simulator, theta, [_shaped(simulator, theta, d) for d in found]) if found else []
+
+
+def _alone(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], free: Sequence[Parameter]
+) -> dict[Parameter, float]:
+    """Parameters that change anything by themselves, in their order, and by which steps at least."""
+    least, left = dict[Parameter, float](), list(free)
+    for step in STEPS:
+        quiet, *moved = responses(simulator, theta, [{}, *({p: away(p, step)} for p in left)])
+        least |= {p: step for p, y in zip(left, moved, strict=True) if _differ(simulator, y, quiet)}
+        left = [p for p in left if p not in least]
+    return {p: least[p] for p in free if p in least}
+
+
+def _vanishing(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], effect: str, shape: Mapping[Parameter, float]
+) -> list[Direction]:
+    """The first parameter that makes an effect vanish whatever its shape, by as small a step as changes anything."""
+    for step, p in itertools.product(STEPS, (p for p in shape if _leaf(p) not in SPAN)):
+        others = {other: value for other, value in shape.items() if other is not p}
+        ever = others | _throughout(simulator, others)
+        quiet, rested, moved = responses(simulator, theta, [{}, ever, ever | {p: away(p, step)}])
+        if not _differ(simulator, rested, quiet) and _differ(simulator, moved, quiet):
+            return [Direction(effect, p, others, step)]
+    return []
 
 
 def _in_proportion(simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[Direction]) -> list[Direction]:
     """Directions with steps beyond which the change grows little faster than the step."""
-    steps = [step for step in STEPS if step >= found[0].step]
-    longer = [replace(d, step=step) for d in found for step in steps]
+    longer = [replace(d, step=step) for d in found for step in STEPS]
     change = np.linalg.norm(np.nan_to_num(slopes(simulator, theta, longer)), axis=2)  # of each channel
-    steepest = change.reshape(len(found), len(steps), -1)
+    steepest = change.reshape(len(found), len(STEPS), -1)
     enough = np.all(STEEPER * steepest >= steepest.max(axis=1, keepdims=True), axis=2)
-    return [replace(d, step=steps[int(np.argmax(row))]) for d, row in zip(found, enough, strict=True)]
-
-
-def _stepping(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Effect, step: float) -> list[Direction]:
-    """Along which parameters an effect changes anything by a step."""
-    free = tuple(p for p in effect.parameters if p.name not in simulator.space.names)
-    tried = responses(simulator, theta, [{}, *({p: away(p, step)} for p in free)])
-    quiet, alone = tried[0], tried[1:]
-    acts = {p: _differ(y, quiet) for p, y in zip(free, alone, strict=True)}
-    held = {p: middle(p) for p in free if not acts[p]}
-    if any(acts.values()):
-        return [_shaped(simulator, theta, Direction(effect.name, p, held, step)) for p in free if acts[p]]
-    for p in (p for p in free if _leaf(p) not in SPAN):
-        shape = {other: value for other, value in held.items() if other is not p}
-        ever = shape | _throughout(simulator, shape)
-        rested, moved = responses(simulator, theta, [ever, ever | {p: away(p, step)}])
-        if np.array_equal(rested, quiet) and not np.array_equal(moved, quiet):
-            return [_shaped(simulator, theta, Direction(effect.name, p, shape, step))]
-    return []
+    return [replace(d, step=max(d.step, STEPS[int(np.argmax(row))])) for d, row in zip(found, enough, strict=True)]
 
 
 def _leaf(p: Parameter) -> str:
@@ -201,8 +211,11 @@ def _throughout(simulator: Simulator, shape: Mapping[Parameter, float]) -> dict[
     return {p: span[_leaf(p)] for p in shape if _leaf(p) in span}
 
 
-def _differ(y: Float[np.ndarray, "channels time"], from_y: Float[np.ndarray, "channels time"]) -> bool:
-    return bool(np.nanmax(np.abs(y - from_y), initial=0.0) > 0.0)
+def _differ(
+    simulator: Simulator, y: Float[np.ndarray, "channels time"], from_y: Float[np.ndarray, "channels time"]
+) -> bool:
+    """Whether two series differ by more than rounding, and what is as far from being seen."""
+    return bool(np.nanmax(np.abs(y - from_y) / simulator.noise.floor[:, None], initial=0.0) > ROUNDING)
 
 
 def _shaped(simulator: Simulator, theta: Float[np.ndarray, " d"], direction: Direction) -> Direction:
@@ -215,7 +228,7 @@ def _shaped(simulator: Simulator, theta: Float[np.ndarray, " d"], direction: Dir
     matters = {
         p: value
         for (p, value), other in zip(direction.held.items(), y[1:], strict=True)
-        if p in ever or _differ(other, y[0])
+        if p in ever or _differ(simulator, other, y[0])
     }
     return replace(direction, held=matters)
 

@@ -1,56 +1,70 @@
 """Both tyres of an axle that is one wheel to its model: forces of two wheels under loads that a turn makes uneven.
 
-    F = F_tyre(C/2, F_z (1 + s)/2, kappa (1 - d)) + F_tyre(C/2, F_z (1 - s)/2, kappa (1 + d))
-    s = sqrt(uneven) |a_y| F_z,static / F_z
+    F = F_tyre(C/2, F_z (1 + s)/2, kappa (1 - d), alpha_R) + F_tyre(C/2, F_z (1 - s)/2, kappa (1 + d), alpha_L)
+    s = sqrt(uneven) a_y F_z,static / F_z,         M_z = track/2 (F_x,R - F_x,L)
 
-What the turn moves follows from the car's lateral acceleration and height, not from what an axle carries at the time.
-An open differential, or brakes of one pressure, give both wheels the same torque, so d is where both have the same
-longitudinal force: the inner wheel slips more (Rajamani, Vehicle Dynamics and Control, sec. 15.2). Their mean slip is
-the axle's, their slip angle the same. Without transfer the axle is one tyre of twice the size.
+in a turn to the left, the right wheel being the outer one. What the turn moves follows from the car's lateral
+acceleration and height, not from what an axle carries at the time. An open differential, or brakes of one pressure,
+give both wheels the same torque, so d is where both have the same longitudinal force: the inner wheel slips more
+(Rajamani, Vehicle Dynamics and Control, sec. 15.2). Their mean slip is the axle's. Wheels that stand apart move at
+v_x +- r track/2, which makes their slip angles differ.
 """
 
 import math
+from typing import NamedTuple
 
 from vehicle_sbi.physics.compiled import compiled
-from vehicle_sbi.physics.effects import side_force, tyre_force, uneven
+from vehicle_sbi.physics.effects import side_force, tyre_force, uneven, wheels_differ
 
 EQUAL = 1e-9  # difference of both longitudinal forces over their sum, where the search for d ends
 SPLITS = 40  # steps of it at most
 MOST = 0.98  # a wheel keeps a little of the slip
 
 
+class Slips(NamedTuple):
+    """How both wheels of an axle slip: along them on average, tangents of their slip angles, how unequal along."""
+
+    kappa: float
+    tan_right: float
+    tan_left: float
+    split: float
+
+
+class AxleForce(NamedTuple):
+    """Forces [N] of an axle along and across its wheels, the right wheel's less the left one's, and how unequal their
+    slips are."""
+
+    F_x: float
+    F_y: float
+    more_x: float
+    more_y: float
+    split: float
+
+
 @compiled
 def axle_force(
-    p,
-    C_kappa: float,
-    C_alpha: float,
-    mu: float,
-    F_z: float,
-    load: float,
-    kappa: float,
-    tan_alpha: float,
-    steady: float,
-    a_y: float,
-    d: float,
-) -> tuple[float, float, float]:
-    """Forces (F_x, F_y) [N] of an axle under F_z [N], `load` times its static one, at a_y [m/s^2], of a `steady` turn,
-    and how unequal its wheels' slips are; `d` is about that.
+    p, C_kappa: float, C_alpha: float, mu: float, F_z: float, load: float, slips: Slips, steady: float, a_y: float
+) -> AxleForce:
+    """Of an axle under F_z [N], `load` times its static one, at a_y [m/s^2], of a `steady` turn.
 
-    It is found by the secant method between bounds, at first as if forces were in proportion to slips. It is at a bound
-    where no slip of the inner wheel is enough: there it spins or locks.
+    What `slips` has of the split is where its search begins. It goes on by the secant method between bounds, at first
+    as if forces were in proportion to slips, and ends at a bound where no slip of the inner wheel is enough: there it
+    spins or locks.
     """
+    kappa, d = slips.kappa, slips.split
+    if not wheels_differ(p):
+        F_x, F_y = tyre_force(p, C_kappa, C_alpha, mu, F_z, load, kappa, slips.tan_right, steady)
+        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0)
     s = uneven(p, load, a_y)
-    if s == 0.0:
-        F_x, F_y = tyre_force(p, C_kappa, C_alpha, mu, F_z, load, kappa, tan_alpha, steady)
-        return F_x, F_y, 0.0
     C_kappa, C_alpha, F_z = 0.5 * C_kappa, 0.5 * C_alpha, 0.5 * F_z
-    x_o = y_o = x_i = y_i = led = more_led = 0.0
+    F_zr, F_zl, load_r, load_l = (1.0 + s) * F_z, (1.0 - s) * F_z, (1.0 + s) * load, (1.0 - s) * load
+    x_r = y_r = x_l = y_l = led = more_led = 0.0
     low, high = -MOST, MOST
     for step in range(SPLITS + 1):
-        slip_o, slip_i = max((1.0 - d) * kappa, -1.0), max((1.0 + d) * kappa, -1.0)
-        x_o, y_o = tyre_force(p, C_kappa, C_alpha, mu, (1.0 + s) * F_z, (1.0 + s) * load, slip_o, tan_alpha, steady)
-        x_i, y_i = tyre_force(p, C_kappa, C_alpha, mu, (1.0 - s) * F_z, (1.0 - s) * load, slip_i, tan_alpha, steady)
-        both, more = abs(x_o + x_i), (x_o - x_i) * math.copysign(1.0, kappa)
+        kappa_r, kappa_l = max((1.0 - d) * kappa, -1.0), max((1.0 + d) * kappa, -1.0)
+        x_r, y_r = tyre_force(p, C_kappa, C_alpha, mu, F_zr, load_r, kappa_r, slips.tan_right, steady)
+        x_l, y_l = tyre_force(p, C_kappa, C_alpha, mu, F_zl, load_l, kappa_l, slips.tan_left, steady)
+        both, more = abs(x_r + x_l), (x_r - x_l) * math.copysign(1.0, kappa)
         if abs(more) <= EQUAL * both or high - low < EQUAL:
             break
         if more > 0.0:
@@ -60,18 +74,19 @@ def axle_force(
         following = d + (more * (d - led) / (more_led - more) if step > 0 else (1.0 - d * d) * more / both)
         led, more_led = d, more
         d = following if low < following < high else 0.5 * (low + high)
-    return x_o + x_i, y_o + y_i, d
+    return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, d)
 
 
 @compiled
 def axle_side_force(
-    p, C_alpha: float, mu: float, F_z: float, load: float, F_x: float, tan_alpha: float, steady: float, a_y: float
-) -> tuple[float, float]:
-    """Forces (F_x, F_y) [N] of an axle whose longitudinal force is given, as far as the grip of each wheel goes."""
+    p, C_alpha: float, mu: float, F_z: float, load: float, F_x: float, slips: Slips, steady: float, a_y: float
+) -> AxleForce:
+    """Of an axle whose longitudinal force [N] is given, as far as the grip of each wheel goes."""
+    if not wheels_differ(p):
+        F_x, F_y = side_force(p, C_alpha, mu, F_z, load, F_x, slips.tan_right, steady)
+        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0)
     s = uneven(p, load, a_y)
-    if s == 0.0:
-        return side_force(p, C_alpha, mu, F_z, load, F_x, tan_alpha, steady)
     C_alpha, F_z, F_x = 0.5 * C_alpha, 0.5 * F_z, 0.5 * F_x
-    x_o, y_o = side_force(p, C_alpha, mu, (1.0 + s) * F_z, (1.0 + s) * load, F_x, tan_alpha, steady)
-    x_i, y_i = side_force(p, C_alpha, mu, (1.0 - s) * F_z, (1.0 - s) * load, F_x, tan_alpha, steady)
-    return x_o + x_i, y_o + y_i
+    x_r, y_r = side_force(p, C_alpha, mu, (1.0 + s) * F_z, (1.0 + s) * load, F_x, slips.tan_right, steady)
+    x_l, y_l = side_force(p, C_alpha, mu, (1.0 - s) * F_z, (1.0 - s) * load, F_x, slips.tan_left, steady)
+    return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, 0.0)

@@ -44,6 +44,8 @@ REPORTED = (
 MOST_LOAD_TRANSFER = 0.005  # [1/(m/s^2)^2]
 # A wheel's share moves by s = 2 h_cog a_y / (g track); h_cog / track is at most 0.6, where a car tips over at 0.83 g.
 MOST_UNEVEN = 0.015  # [1/(m/s^2)^2], (2 h_cog / (g track))^2
+# Springs and anti-roll bars set which axle bears how much of what a turn moves; no car leaves one of them almost none.
+MOST_SHIFTED = 0.3  # of all of it, from one axle to the other
 DEAD_TIME = "pure dead time"
 RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and Vehicle Dynamics"
 
@@ -162,12 +164,14 @@ CATALOGUE: Mapping[str, Effect] = {
         _effect("lateral_load_transfer", "tyre",
                 "an axle loses cornering stiffness, and its inner wheel slides first, as load moves to the outer one",
                 "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2), F_axle = F((F_z + S)/2) + F((F_z - S)/2) of "
-                "two wheels with equal F_x, S = sqrt(uneven) |a_y| F_z,static (the full vehicle has its own wheels)",
+                "two wheels with equal F_x, at v_x +- r track/2, S = sqrt(uneven) a_y m g share, share_f = l_r/L + "
+                "front, share_r = l_f/L - front (the full vehicle has its own wheels)",
                 f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2",
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0),
-                uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0)),
+                uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0), front=("1", -MOST_SHIFTED, MOST_SHIFTED, 0.0),
+                track=("m", 0.0, 1.9, 0.0)),
         _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late, instead of saturating",
-                "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(1.3, -1.845) - F_Dugoff), F_x with "
+                "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(3/2, -17/8) - F_Dugoff), F_x with "
                 "longitudinal in place of peak alone, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, "
                 "z = demand over grip",
                 f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0), longitudinal=("1", 0.0, 1.0, 0.0),
@@ -226,6 +230,7 @@ _EFFECT_FIELDS = tuple(name for p in EFFECT_PARAMETERS.values() for name in p.fi
 _DERIVED = (
     "mass", "l_front", "l_rear", "I_z", "grip", "F_zf_static", "F_zr_static", "load_transfer",
     "sigma_f", "sigma_r", "stiff_f", "stiff_r", "slide_f", "slide_r", "step", "split_f", "split_r",
+    "moved_f", "moved_r",
     "R_front", "R_rear", "grade_gravity", "bank_gravity", "profiled",
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
@@ -262,7 +267,8 @@ def derive(p) -> None:
     """Fill the derived fields of the record.
 
     Mass, its place and I_z = factor m l_f l_r (unless the vehicle file states it) with the payload; static loads m g
-    l_r/L and m g l_f/L across a graded or banked road; load transfer m h/L [N per m/s^2]; relaxation lengths sigma =
+    l_r/L and m g l_f/L across a graded or banked road, and how much of what a turn moves each axle bears over its share
+    of them; load transfer m h/L [N per m/s^2]; relaxation lengths sigma =
     C_alpha / K and what is added to it [m] (the paper's sec. II and equation 11); levers m_s h_s [kg m] of the sprung
     mass, payload included, about the roll and pitch axes, wheels and axles taken to lie at the height of the wheels'
     centres, with its moments of inertia about those axes [kg m^2]; the IMU's place. No more than all of m is sprung.
@@ -276,6 +282,8 @@ def derive(p) -> None:
     p.stiff_f, p.stiff_r = stiffness_level(p)
     p.slide_f, p.slide_r = p.friction_level_front, p.friction_level_rear
     p.R_front, p.R_rear = wheel_radius(p)
+    p.moved_f = max(1.0 + p.lateral_load_transfer_front * p.L / p.l_rear, 0.0)
+    p.moved_r = max(1.0 - p.lateral_load_transfer_front * p.L / p.l_front, 0.0)
     p.grade_gravity = GRAVITY * math.sin(p.road_grade_angle)
     p.bank_gravity = GRAVITY * math.sin(p.road_bank_angle)
     p.profiled = 0.0
@@ -606,9 +614,9 @@ def lateral_load_transfer(p, a_y: float) -> float:
 
 @compiled
 def uneven(p, load: float, a_y: float) -> float:
-    """By which share the load of an axle's outer wheel is above, and that of its inner one below, the mean of both,
+    """By which share the load of an axle's right wheel is above, and that of its left one below, the mean of both,
     which is `load` times the static one."""
-    return min(math.sqrt(p.lateral_load_transfer_uneven) * abs(a_y) / max(load, LEAST_LOAD), 1.0)
+    return min(max(math.sqrt(p.lateral_load_transfer_uneven) * a_y / max(load, LEAST_LOAD), -1.0), 1.0)
 
 
 @compiled
@@ -668,13 +676,19 @@ def wheel_radius(p) -> tuple[float, float]:
 @compiled
 def ignores_load(p) -> bool:
     """Whether the force that `axle_force` gives below the knee is the same under any load."""
-    return p.load_sensitivity_coefficient == 0.0 and not moves_load_across(p) and not curved(p)
+    return p.load_sensitivity_coefficient == 0.0 and not wheels_differ(p) and not curved(p)
 
 
 @compiled
 def moves_load_across(p) -> bool:
     """Whether a turn moves load from an axle's inner wheel to its outer one, and the model counts with it."""
     return p.lateral_load_transfer_uneven != 0.0
+
+
+@compiled
+def wheels_differ(p) -> bool:
+    """Whether the wheels of an axle are two to the model, in their loads or in where they stand."""
+    return moves_load_across(p) or p.lateral_load_transfer_track != 0.0
 
 
 @compiled

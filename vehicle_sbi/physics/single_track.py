@@ -14,7 +14,7 @@ and leaves only the lateral equations.
 import math
 from typing import NamedTuple
 
-from vehicle_sbi.physics.axle import axle_force, axle_side_force
+from vehicle_sbi.physics.axle import Slips, axle_force, axle_side_force
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, lateral_cog, moves_load_across, pulls
@@ -74,6 +74,13 @@ def impose(p, drive: int, u, state) -> None:
         state[V_X] = u[U_V_X]
 
 
+class Wheels(NamedTuple):
+    """A value of each wheel of an axle."""
+
+    right: float
+    left: float
+
+
 class Car(NamedTuple):
     """What stays as it is at one moment while loads and forces settle."""
 
@@ -86,11 +93,12 @@ class Car(NamedTuple):
     beta_f: float  # angle of the front axle's motion [rad]
     omega_f: float  # [rad/s]
     omega_r: float
-    kappa_f: float  # lagged slips, the front slip angle [rad], and its tangent and that of the rear one as it acts
+    kappa_f: float  # lagged slips, the front slip angle [rad]
     kappa_r: float
     alpha_f: float
-    tan_f: float
-    tan_r: float
+    apart_f: Wheels  # by how much front wheels move in other directions than the middle of their axle [rad]
+    tan_f: Wheels  # tangents of slip angles, of the front ones as far as they lag, of the rear ones as they act
+    tan_r: Wheels
     pull_f: float  # longitudinal forces [N] where the speed is given
     pull_r: float
 
@@ -116,6 +124,7 @@ class Forces(NamedTuple):
     F_lateral_f: float  # across the car [N]
     F_xr: float
     F_yr: float
+    M_z: float  # yaw moment [N m] of what differs between right and left
 
 
 @compiled
@@ -142,6 +151,26 @@ def mixed(share: float, lagged: float, now: float) -> float:
 
 
 @compiled
+def apart(p, v_across: float, speed: float, r: float) -> Wheels:
+    """By how much wheels move in other directions [rad] than the middle of their axle, at v_x +- r track/2."""
+    if p.lateral_load_transfer_track == 0.0:
+        return Wheels(0.0, 0.0)
+    more, beta = 0.5 * p.lateral_load_transfer_track * r, math.atan(v_across / speed)
+    return Wheels(
+        math.atan(v_across / regular(speed + more)) - beta, math.atan(v_across / regular(speed - more)) - beta
+    )
+
+
+@compiled
+def tangents(alpha: float, moving: Wheels) -> Wheels:
+    """Tangents of both wheels' slip angles, alpha [rad] in the middle of the axle."""
+    if moving.right == moving.left:
+        middle = tangent(alpha)
+        return Wheels(middle, middle)
+    return Wheels(tangent(alpha - moving.right), tangent(alpha - moving.left))
+
+
+@compiled
 def implied(p, out: Outside, a_x: float) -> float:
     """Longitudinal force [N] of all tyres that an acceleration a_x [m/s^2] implies: m a_x without what else acts along
     the car, and with what the front axle's side force holds back in a turn, as large as in a steady one."""
@@ -162,30 +191,33 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     mu_f, mu_r = p.slide_f * out.mu, p.slide_r * out.mu
     tan_f = car.tan_f
     if car.share_f < 1.0:
-        tan_f = tangent(mixed(car.share_f, car.alpha_f, front.delta - car.beta_f))
+        tan_f = tangents(mixed(car.share_f, car.alpha_f, front.delta - car.beta_f), car.apart_f)
     load_f, load_r = F_zf / p.F_zf_static, F_zr / p.F_zr_static
     C_f, C_r = p.stiff_f * p.C_alpha_f, p.stiff_r * p.C_alpha_r
+    kappa_f, kappa_r = car.kappa_f, car.kappa_r
+    if not relaxed and car.drive != SPEED:
+        _, _, now_f, now_r = rolling(p, car, front, F_zf, F_zr)
+        kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
+    slips_f = Slips(kappa_f, tan_f.right, tan_f.left, p.split_f)
+    slips_r = Slips(kappa_r, car.tan_r.right, car.tan_r.left, p.split_r)
+    a_yf, a_yr, steady = p.moved_f * a_y, p.moved_r * a_y, out.steady
     if car.drive == SPEED:
-        F_xf, F_yf = axle_side_force(p, C_f, mu_f, F_zf, load_f, car.pull_f, tan_f, out.steady, a_y)
-        F_xr, F_yr = axle_side_force(p, C_r, mu_r, F_zr, load_r, car.pull_r, car.tan_r, out.steady, a_y)
+        f = axle_side_force(p, C_f, mu_f, F_zf, load_f, car.pull_f, slips_f, steady, a_yf)
+        b = axle_side_force(p, C_r, mu_r, F_zr, load_r, car.pull_r, slips_r, steady, a_yr)
     else:
-        kappa_f, kappa_r = car.kappa_f, car.kappa_r
-        if not relaxed:
-            _, _, now_f, now_r = rolling(p, car, front, F_zf, F_zr)
-            kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
         C_kf, C_kr = p.stiff_f * p.C_kappa_f, p.stiff_r * p.C_kappa_r
-        F_xf, F_yf, p.split_f = axle_force(p, C_kf, C_f, mu_f, F_zf, load_f, kappa_f, tan_f, out.steady, a_y, p.split_f)
-        F_xr, F_yr, p.split_r = axle_force(
-            p, C_kr, C_r, mu_r, F_zr, load_r, kappa_r, car.tan_r, out.steady, a_y, p.split_r
-        )
-    F_along = F_xf * front.cosine - F_yf * front.sine + F_xr
-    F_lateral_f = F_xf * front.sine + F_yf * front.cosine
+        f = axle_force(p, C_kf, C_f, mu_f, F_zf, load_f, slips_f, steady, a_yf)
+        b = axle_force(p, C_kr, C_r, mu_r, F_zr, load_r, slips_r, steady, a_yr)
+        p.split_f, p.split_r = f.split, b.split
+    F_along = f.F_x * front.cosine - f.F_y * front.sine + b.F_x
+    F_lateral_f = f.F_x * front.sine + f.F_y * front.cosine
+    M_z = 0.5 * p.lateral_load_transfer_track * (f.more_x * front.cosine - f.more_y * front.sine + b.more_x)
     solved = a_x if car.drive == SPEED else (F_along + out.push_x) / p.mass
     moved = abs(p.load_transfer * (solved - a_x))
     final = relaxed and ignores_load(p)
-    final = final and grips(mu_f, F_zf - moved, F_xf, F_yf) and grips(mu_r, F_zr - moved, F_xr, F_yr)
-    solved_y = (F_lateral_f + F_yr + out.push_y) / p.mass if moves_load_across(p) else a_y
-    return Forces(solved, solved_y, final, F_xf, F_yf, F_along, F_lateral_f, F_xr, F_yr)
+    final = final and grips(mu_f, F_zf - moved, f.F_x, f.F_y) and grips(mu_r, F_zr - moved, b.F_x, b.F_y)
+    solved_y = (F_lateral_f + b.F_y + out.push_y) / p.mass if moves_load_across(p) else a_y
+    return Forces(solved, solved_y, final, f.F_x, f.F_y, F_along, F_lateral_f, b.F_x, b.F_y, M_z)
 
 
 @compiled
@@ -195,6 +227,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     speed, v_yf = regular(v_x), v_y + p.l_front * r
     share_f, share_r = lag_share(p, p.sigma_f, speed), lag_share(p, p.sigma_r, speed)
     alpha_r = -math.atan((v_y - p.l_rear * r) / speed)
+    apart_f = apart(p, v_yf, speed, r)
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     out = outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT])
     pull_f, pull_r = pulls(p, implied(p, out, given - v_y * r)) if drive == SPEED else (0.0, 0.0)
@@ -211,8 +244,9 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         kappa_f=state[KAPPA_F],
         kappa_r=state[KAPPA_R],
         alpha_f=state[ALPHA_F],
-        tan_f=tangent(state[ALPHA_F]),
-        tan_r=tangent(mixed(share_r, state[ALPHA_R], alpha_r)),
+        apart_f=apart_f,
+        tan_f=tangents(state[ALPHA_F], apart_f),
+        tan_r=tangents(mixed(share_r, state[ALPHA_R], alpha_r), apart(p, v_y - p.l_rear * r, speed, r)),
         pull_f=pull_f,
         pull_r=pull_r,
     )
@@ -222,7 +256,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
 
     rate[V_X] = a_x + v_y * r
     rate[V_Y] = (found.F_lateral_f + found.F_yr + out.push_y) / p.mass - v_x * r
-    moment = out.moment_z + lateral_cog(p, found.F_along)
+    moment = out.moment_z + lateral_cog(p, found.F_along) + found.M_z
     rate[R] = (p.l_front * found.F_lateral_f - p.l_rear * found.F_yr + moment) / p.I_z
     T_f, T_r = wheel_torque(u[T_F], state[OMEGA_F]), wheel_torque(u[T_R], state[OMEGA_R])
     rate[OMEGA_F] = (T_f - found.F_xf * rolls.R_f) / p.I_wf if drive == TORQUE else 0.0
