@@ -63,6 +63,20 @@ def test_without_track_and_sprung_mass_it_is_the_single_track_model(drive: str, 
     assert np.abs(four - two).max() < 2e-8
 
 
+def test_without_sprung_mass_it_is_the_single_track_model_whose_wheels_stand_apart() -> None:
+    # Of a rigid car a turn moves m h a_y, each axle's share that of its weight: s = 2 h a_y/(g track) of its load.
+    # Driven by its speed, where each wheel of an axle has half of the pull, and with slips that do not lag, which would
+    # be a state of each wheel. Both loops stop within 1e-9 m/s^2, and so do speeds after 2 s, to within 2e-9 m/s.
+    rigid = replace(PAPER, K=math.inf, track_f=1.5, track_r=1.5, m_s=0.0)
+    apart = {"lateral_load_transfer_uneven": (2.0 * 0.5 / (G * 1.5)) ** 2, "lateral_load_transfer_track": 1.5}
+    u, initial = smooth_inputs(), (10.5, 0.1, 0.02)
+    u[:, 0] *= 4.0
+    four = finished(record_of(rigid), "speed", u, initial, model="full_vehicle")
+    two, one = (finished(record_of(replace(PAPER, K=math.inf), **more), "speed", u, initial) for more in (apart, {}))
+    np.testing.assert_allclose(two[[A_Y, YAW, V_Y]], four[[A_Y, YAW, V_Y]], rtol=0.0, atol=1e-8)
+    assert np.abs(two[YAW] - one[YAW]).max() > 1e-3
+
+
 # --- balances -------------------------------------------------------------------------------------------------------
 
 thousand = st.floats(-3000.0, 3000.0)

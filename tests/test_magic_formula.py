@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from numpy.polynomial import Chebyshev
+from scipy.optimize import lsq_linear
 
 from vehicle_sbi.physics.magic_formula import FULL, INTERVALS, PEAKED, REACH, magic_formula, peaked_and_full
 
@@ -38,3 +39,15 @@ def test_beyond_the_knots_it_is_the_formula(z: float) -> None:
 
 def test_what_is_not_a_number_stays_that() -> None:
     assert np.isnan(peaked_and_full(np.nan)).all()
+
+
+@pytest.mark.parametrize("share", [0.7, 0.85, 1.0])
+@pytest.mark.parametrize("C", [1.2, 1.3, 1.4, 1.5])
+def test_blends_come_near_the_curves_of_real_tyres(C: float, share: float) -> None:
+    # C of side forces is about 1.3 (Pacejka, sec. 4.3), E between bending early and bending by no third power.
+    z = np.linspace(0.0, 1.2, 100)
+    dugoff = np.where(z < 0.5, z, 1.0 - 0.25 / np.maximum(z, 0.5))
+    wanted = np.array([magic_formula(x, C, -share * (1.0 + 0.5 * C**2)) for x in z]) - dugoff
+    blends = np.array([peaked_and_full(x) for x in z]) - dugoff[:, None]
+    found = lsq_linear(blends, wanted, (0.0, 1.0))
+    assert np.abs(found.fun).max() < 0.0013

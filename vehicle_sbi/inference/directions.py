@@ -24,7 +24,7 @@ from vehicle_sbi.physics.size import size_of
 STEPS = (0.05, 0.3, 0.6)  # of a parameter's prior width, for differences from its null; the first one from which the
 # change is about in proportion is taken: enough for a lag to outlast a sample, and for grip to be used up
 STEEPER = 3.0  # times as steep as at a step the change may be at a longer one, for the step to be long enough
-ROUNDING = 1e-6  # of a channel's noise: over 1e6 samples an SNR of 1e-3, which nobody sees
+ROUNDING = 1e-7  # of a channel's largest value; loops and integrators are exact to about 1e-9
 MOST = 0.9  # of the way to the prior's farther bound, at most
 SHAPES = 3  # values at which a parameter of shape is held
 SPAN = ("start", "duration")
@@ -167,14 +167,12 @@ def directions(simulator: Simulator, theta: Float[np.ndarray, " d"], effect: Eff
     return _in_proportion(simulator, theta, [_shaped(simulator, theta, d) for d in found]) if found else []
 
 
-def _alone(
-    simulator: Simulator, theta: Float[np.ndarray, " d"], free: Sequence[Parameter]
-) -> dict[Parameter, float]:
+def _alone(simulator: Simulator, theta: Float[np.ndarray, " d"], free: Sequence[Parameter]) -> dict[Parameter, float]:
     """Parameters that change anything by themselves, in their order, and by which steps at least."""
     least, left = dict[Parameter, float](), list(free)
     for step in STEPS:
         quiet, *moved = responses(simulator, theta, [{}, *({p: away(p, step)} for p in left)])
-        least |= {p: step for p, y in zip(left, moved, strict=True) if _differ(simulator, y, quiet)}
+        least |= {p: step for p, y in zip(left, moved, strict=True) if _differ(y, quiet)}
         left = [p for p in left if p not in least]
     return {p: least[p] for p in free if p in least}
 
@@ -187,7 +185,7 @@ def _vanishing(
         others = {other: value for other, value in shape.items() if other is not p}
         ever = others | _throughout(simulator, others)
         quiet, rested, moved = responses(simulator, theta, [{}, ever, ever | {p: away(p, step)}])
-        if not _differ(simulator, rested, quiet) and _differ(simulator, moved, quiet):
+        if not _differ(rested, quiet) and _differ(moved, quiet):
             return [Direction(effect, p, others, step)]
     return []
 
@@ -211,11 +209,10 @@ def _throughout(simulator: Simulator, shape: Mapping[Parameter, float]) -> dict[
     return {p: span[_leaf(p)] for p in shape if _leaf(p) in span}
 
 
-def _differ(
-    simulator: Simulator, y: Float[np.ndarray, "channels time"], from_y: Float[np.ndarray, "channels time"]
-) -> bool:
-    """Whether two series differ by more than rounding, and what is as far from being seen."""
-    return bool(np.nanmax(np.abs(y - from_y) / simulator.noise.floor[:, None], initial=0.0) > ROUNDING)
+def _differ(y: Float[np.ndarray, "channels time"], from_y: Float[np.ndarray, "channels time"]) -> bool:
+    """Whether two series differ by more than rounding does."""
+    size = np.nanmax(np.abs(from_y), axis=1, initial=0.0)
+    return bool(np.any(np.nanmax(np.abs(y - from_y), axis=1, initial=0.0) > ROUNDING * size))
 
 
 def _shaped(simulator: Simulator, theta: Float[np.ndarray, " d"], direction: Direction) -> Direction:
@@ -228,7 +225,7 @@ def _shaped(simulator: Simulator, theta: Float[np.ndarray, " d"], direction: Dir
     matters = {
         p: value
         for (p, value), other in zip(direction.held.items(), y[1:], strict=True)
-        if p in ever or _differ(simulator, other, y[0])
+        if p in ever or _differ(other, y[0])
     }
     return replace(direction, held=matters)
 

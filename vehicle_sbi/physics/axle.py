@@ -16,7 +16,8 @@ from typing import NamedTuple
 from vehicle_sbi.physics.compiled import compiled
 from vehicle_sbi.physics.effects import side_force, tyre_force, uneven, wheels_differ
 
-EQUAL = 1e-9  # difference of both longitudinal forces over their sum, where the search for d ends
+NEAR = 1e-4  # difference of both longitudinal forces over their sum, from which a step of the search is the last one
+EQUAL = 1e-9  # the same, where the search has ended
 SPLITS = 40  # steps of it at most
 MOST = 0.98  # a wheel keeps a little of the slip
 
@@ -28,17 +29,20 @@ class Slips(NamedTuple):
     tan_right: float
     tan_left: float
     split: float
+    slope: float  # of what both forces differ by, as a share of their sum, over the split; 0 where it is not known
 
 
 class AxleForce(NamedTuple):
-    """Forces [N] of an axle along and across its wheels, the right wheel's less the left one's, and how unequal their
-    slips are."""
+    """Forces [N] of an axle along and across its wheels, the right wheel's less the left one's, and where to go on with
+    the search for how unequal their slips are; `even` where it has ended."""
 
     F_x: float
     F_y: float
     more_x: float
     more_y: float
     split: float
+    slope: float
+    even: bool
 
 
 @compiled
@@ -47,34 +51,39 @@ def axle_force(
 ) -> AxleForce:
     """Of an axle under F_z [N], `load` times its static one, at a_y [m/s^2], of a `steady` turn.
 
-    What `slips` has of the split is where its search begins. It goes on by the secant method between bounds, at first
-    as if forces were in proportion to slips, and ends at a bound where no slip of the inner wheel is enough: there it
-    spins or locks.
+    The search for the split goes on from that of `slips`, by the secant method between bounds, at first with the slope
+    known from before or as if forces were in proportion to slips. It ends at a bound where no slip of the inner wheel
+    is enough: there it spins or locks. Close to the end one more step is left to the next call.
     """
-    kappa, d = slips.kappa, slips.split
+    kappa, d, slope = slips.kappa, slips.split, slips.slope
     if not wheels_differ(p):
         F_x, F_y = tyre_force(p, C_kappa, C_alpha, mu, F_z, load, kappa, slips.tan_right, steady)
-        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0)
+        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, True)
     s = uneven(p, load, a_y)
     C_kappa, C_alpha, F_z = 0.5 * C_kappa, 0.5 * C_alpha, 0.5 * F_z
     F_zr, F_zl, load_r, load_l = (1.0 + s) * F_z, (1.0 - s) * F_z, (1.0 + s) * load, (1.0 - s) * load
     x_r = y_r = x_l = y_l = led = more_led = 0.0
-    low, high = -MOST, MOST
+    low, high, even = -MOST, MOST, False
     for step in range(SPLITS + 1):
         kappa_r, kappa_l = max((1.0 - d) * kappa, -1.0), max((1.0 + d) * kappa, -1.0)
         x_r, y_r = tyre_force(p, C_kappa, C_alpha, mu, F_zr, load_r, kappa_r, slips.tan_right, steady)
         x_l, y_l = tyre_force(p, C_kappa, C_alpha, mu, F_zl, load_l, kappa_l, slips.tan_left, steady)
         both, more = abs(x_r + x_l), (x_r - x_l) * math.copysign(1.0, kappa)
-        if abs(more) <= EQUAL * both or high - low < EQUAL:
+        even = abs(more) <= EQUAL * both or high - low < EQUAL
+        if even:
             break
         if more > 0.0:
             low = d
         else:
             high = d
-        following = d + (more * (d - led) / (more_led - more) if step > 0 else (1.0 - d * d) * more / both)
+        if step > 0:
+            slope = (more - more_led) / ((d - led) * both)
         led, more_led = d, more
+        following = d - more / both / (slope if slope < 0.0 else -1.0 / (1.0 - d * d))
         d = following if low < following < high else 0.5 * (low + high)
-    return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, d)
+        if slope < 0.0 and abs(more) <= NEAR * both:
+            break
+    return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, d, slope, even)
 
 
 @compiled
@@ -84,9 +93,9 @@ def axle_side_force(
     """Of an axle whose longitudinal force [N] is given, as far as the grip of each wheel goes."""
     if not wheels_differ(p):
         F_x, F_y = side_force(p, C_alpha, mu, F_z, load, F_x, slips.tan_right, steady)
-        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0)
+        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, True)
     s = uneven(p, load, a_y)
     C_alpha, F_z, F_x = 0.5 * C_alpha, 0.5 * F_z, 0.5 * F_x
     x_r, y_r = side_force(p, C_alpha, mu, (1.0 + s) * F_z, (1.0 + s) * load, F_x, slips.tan_right, steady)
     x_l, y_l = side_force(p, C_alpha, mu, (1.0 - s) * F_z, (1.0 - s) * load, F_x, slips.tan_left, steady)
-    return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, 0.0)
+    return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, 0.0, 0.0, True)

@@ -76,8 +76,9 @@ def settled(forces, p, car, a_x: float, a_y: float):
     point then, and these accelerations.
 
     `forces` returns accelerations a_x, a_y, whether they are `final`, so that it would find the same forces under them,
-    and the front axle's side force F_yf; a_x and a_y on entry are the guess from which the loop starts. Compliant
-    wheels are solved for with the tyre's slope at the origin. NaN if the loop does not end.
+    whether what it solves for itself is found (`even`), and the front axle's side force F_yf; a_x and a_y on entry are
+    the guess from which the loop starts. Compliant wheels are solved for with the tyre's slope at the origin. NaN if
+    the loop does not end.
     """
     slope = 1.0 + (1.0 - car.share_f) * steering_compliance(p, p.stiff_f * p.C_alpha_f)
     front, twist, iteration = pointing(car.outside.delta), 0.0, 0
@@ -89,7 +90,7 @@ def settled(forces, p, car, a_x: float, a_y: float):
         if abs(missing) < TWIST_TOLERANCE:
             if found.final:
                 return found, front, found.a_x, found.a_y
-            if max(abs(off_x), abs(off_y)) < LOAD_TOLERANCE:
+            if found.even and max(abs(off_x), abs(off_y)) < LOAD_TOLERANCE:
                 return found, front, a_x, a_y
         if iteration == LOAD_ITERATIONS:
             return found, front, math.nan, a_y

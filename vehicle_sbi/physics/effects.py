@@ -230,7 +230,7 @@ _EFFECT_FIELDS = tuple(name for p in EFFECT_PARAMETERS.values() for name in p.fi
 _DERIVED = (
     "mass", "l_front", "l_rear", "I_z", "grip", "F_zf_static", "F_zr_static", "load_transfer",
     "sigma_f", "sigma_r", "stiff_f", "stiff_r", "slide_f", "slide_r", "step", "split_f", "split_r",
-    "moved_f", "moved_r",
+    "slope_f", "slope_r", "moved_f", "moved_r",
     "R_front", "R_rear", "grade_gravity", "bank_gravity", "profiled",
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
@@ -254,7 +254,7 @@ def nominal_record(vehicle: Vehicle, duration: float = 0.0) -> np.void:
         record[name] = np.nan if value is None else value
     record["I_z_stated"] = vehicle.I_z or 0.0
     record["duration"] = duration
-    for name in (*LATENT, "step", "split_f", "split_r"):  # the integrator's own to set
+    for name in (*LATENT, "step", "split_f", "split_r", "slope_f", "slope_r"):  # the integrator's own to set
         record[name] = 0.0
     for parameter in EFFECT_PARAMETERS.values():
         for name in parameter.fields:

@@ -178,6 +178,7 @@ class Forces(NamedTuple):
     a_x: float  # [m/s^2]
     a_y: float
     final: bool  # never: body and lateral acceleration move load as long as they change
+    even: bool  # always: each wheel has a speed of its own
     F_yf: float  # side force of the front axle [N]
     M_z: float  # [N m]
     roll_rate_dot: float  # [rad/s^2]
@@ -256,7 +257,9 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     M_z = out.moment_z + lateral_cog(p, F_along) + (fl.M_z + fr.M_z) + (rl.M_z + rr.M_z)
     solved_x, solved_y = accelerated(p, car, F_x, F_y)
     solved_x = a_x if car.drive == SPEED else solved_x
-    return Forces(solved_x, solved_y, False, fl.F_side + fr.F_side, M_z, roll_rate_dot, pitch_rate_dot, fl, fr, rl, rr)
+    return Forces(
+        solved_x, solved_y, False, True, fl.F_side + fr.F_side, M_z, roll_rate_dot, pitch_rate_dot, fl, fr, rl, rr
+    )
 
 
 @compiled

@@ -4,9 +4,10 @@
 
 in units of the grip, of slope 1 at no demand. Both have C = 3/2 and fall beyond their peaks. PEAKED has E = 0; FULL has
 the E at which it bends by no third power, any less of which would make it stiffen first. Between them and Dugoff's
-curve lie, within 0.0013 of the grip up to z = 1.2, those of C from 1.2 to 1.5 and E from 0.7 to 1 times that one. Both
-are fixed, and a simulation asks for them a million times a second: up to z = REACH they are cubics between knots that have the formula's values
-and slopes, which differ from it by less than 1e-11.
+curve lie, within 0.0013 of the grip up to z = 1.2, those of C from 1.2 to 1.5 and E from 0.7 to 1 times that one.
+
+Both are fixed, and a simulation asks for them a million times a second: up to z = REACH they are cubics between knots
+that have the formula's values and slopes, which differ from it by less than 1e-11.
 """
 
 import math

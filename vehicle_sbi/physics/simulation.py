@@ -107,7 +107,8 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
         np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES),
     )  # fmt: skip
     now, h, outcome = np.zeros(u.shape[1]), dt / substeps, FINISHED
-    p.step, p.split_f, p.split_r = h, 0.0, 0.0
+    p.step = h
+    p.split_f = p.split_r = p.slope_f = p.slope_r = 0.0
     for evaluation in range(4 * substeps * (u.shape[0] - 1) + 1):
         step, stage = evaluation // 4, evaluation % 4
         k, share = step // substeps, 0.5 * ((stage + 1) // 2)

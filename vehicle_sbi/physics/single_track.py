@@ -118,6 +118,7 @@ class Forces(NamedTuple):
     a_x: float  # [m/s^2]
     a_y: float
     final: bool  # whether the loads of these accelerations leave all forces exactly as they are
+    even: bool  # whether both wheels of each axle are found to have the same torque
     F_xf: float  # in the wheels' own directions [N]
     F_yf: float
     F_along: float  # of both axles along the car [N]
@@ -198,8 +199,8 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     if not relaxed and car.drive != SPEED:
         _, _, now_f, now_r = rolling(p, car, front, F_zf, F_zr)
         kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
-    slips_f = Slips(kappa_f, tan_f.right, tan_f.left, p.split_f)
-    slips_r = Slips(kappa_r, car.tan_r.right, car.tan_r.left, p.split_r)
+    slips_f = Slips(kappa_f, tan_f.right, tan_f.left, p.split_f, p.slope_f)
+    slips_r = Slips(kappa_r, car.tan_r.right, car.tan_r.left, p.split_r, p.slope_r)
     a_yf, a_yr, steady = p.moved_f * a_y, p.moved_r * a_y, out.steady
     if car.drive == SPEED:
         f = axle_side_force(p, C_f, mu_f, F_zf, load_f, car.pull_f, slips_f, steady, a_yf)
@@ -208,7 +209,7 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
         C_kf, C_kr = p.stiff_f * p.C_kappa_f, p.stiff_r * p.C_kappa_r
         f = axle_force(p, C_kf, C_f, mu_f, F_zf, load_f, slips_f, steady, a_yf)
         b = axle_force(p, C_kr, C_r, mu_r, F_zr, load_r, slips_r, steady, a_yr)
-        p.split_f, p.split_r = f.split, b.split
+        p.split_f, p.slope_f, p.split_r, p.slope_r = f.split, f.slope, b.split, b.slope
     F_along = f.F_x * front.cosine - f.F_y * front.sine + b.F_x
     F_lateral_f = f.F_x * front.sine + f.F_y * front.cosine
     M_z = 0.5 * p.lateral_load_transfer_track * (f.more_x * front.cosine - f.more_y * front.sine + b.more_x)
@@ -217,7 +218,7 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     final = relaxed and ignores_load(p)
     final = final and grips(mu_f, F_zf - moved, f.F_x, f.F_y) and grips(mu_r, F_zr - moved, b.F_x, b.F_y)
     solved_y = (F_lateral_f + b.F_y + out.push_y) / p.mass if moves_load_across(p) else a_y
-    return Forces(solved, solved_y, final, f.F_x, f.F_y, F_along, F_lateral_f, b.F_x, b.F_y, M_z)
+    return Forces(solved, solved_y, final, f.even and b.even, f.F_x, f.F_y, F_along, F_lateral_f, b.F_x, b.F_y, M_z)
 
 
 @compiled
