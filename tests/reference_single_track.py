@@ -12,7 +12,6 @@ with downforce on top of both. Holds for v_x > 1 m/s and omega > 1 rad/s, where 
 that do not lock.
 """
 
-import itertools
 import math
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -34,10 +33,6 @@ class Moment(NamedTuple):
     mu: float
     gust: float  # [N]
     course: float = 0.0  # of the load that no effect stands for
-
-
-class SeveralSplits(Exception):
-    """Tyres whose forces fall beyond their peaks may share a torque in several ways."""
 
 
 class Forces(NamedTuple):
@@ -271,7 +266,9 @@ def tyre_forces(
                 for k, load in enumerate(wheels)
             ]
         else:
-            pair = driven_pair(c, half, mu, wheels, static, (kappas[i], *angles[i]), steady)
+            nu = c["lateral_load_transfer_track"] / 2.0 * state[2] / state[0]
+            rho = (wheels[0] - wheels[1]) / 2.0 / (3.0 * c["C_vert"] * c["R_f"])
+            pair = driven_pair(c, half, mu, wheels, static, (kappas[i], *angles[i]), (nu, rho), steady)
         found += np.sum(pair, axis=0).tolist()
         turned = delta if axle == "f" else 0.0
         along = [x * math.cos(turned) - y * math.sin(turned) for x, y in pair]
@@ -298,28 +295,34 @@ def wheel_loads(c: Car, F_z: float, borne: float, a_y: float) -> tuple[float, fl
 
 def driven_pair(
     c: Car, C: tuple[float, float], mu: float, wheels: tuple[float, float], static: float,
-    slips: tuple[float, float, float], steady: float,
+    slips: tuple[float, float, float], differ: tuple[float, float], steady: float,
 ) -> list[tuple[float, float]]:  # fmt: skip
-    """Forces of both wheels of an axle with the same torque, at slips kappa, alpha_right, alpha_left: kappa (1 - d) and
-    kappa (1 + d) whose forces along the wheels are equal, or as near as one wheel's slip can bring them."""
+    """Forces of both wheels of an axle with the same torque, at slips kappa, alpha_right, alpha_left: k (1 - d) and
+    k (1 + d) whose forces along the wheels are equal, d as small as may be, or as near as one wheel's slip can bring
+    them; k as in `mean_slip` of (nu, rho)."""
 
     def pair(d: float) -> list[tuple[float, float]]:
-        each = zip(wheels, (1.0 - d, 1.0 + d), slips[1:], strict=True)
-        return [tyre(c, C, mu, load, static, (part * slips[0], alpha), steady) for load, part, alpha in each]
+        each, k = zip(wheels, (1.0 - d, 1.0 + d), slips[1:], strict=True), mean_slip(slips[0], *differ, d)
+        return [tyre(c, C, mu, load, static, (part * k, alpha), steady) for load, part, alpha in each]
 
     def apart(d: float) -> float:
         right, left = pair(d)
-        return (right[0] - left[0]) * np.sign(slips[0])
+        return (right[0] - left[0]) * np.sign(mean_slip(slips[0], *differ, 0.0))
 
-    if slips[0] == 0.0 or (wheels[0] == wheels[1] and slips[1] == slips[2]):
+    if mean_slip(slips[0], *differ, 0.0) == 0.0 or (wheels[0] == wheels[1] and slips[1] == slips[2]):
         return pair(0.0)
-    if c.get("one_split"):
-        signs = [apart(d) > 0.0 for d in np.linspace(-0.98, 0.98, 400)]
-        if sum(a != b for a, b in itertools.pairwise(signs)) > 1:
-            raise SeveralSplits
-    if apart(0.98) > 0.0:
-        return pair(0.98)
-    return pair(-0.98 if apart(-0.98) < 0.0 else root(apart, -0.98, 0.98))
+    sign, near = np.sign(apart(0.0)), 0.0
+    for far in (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 0.98):
+        if sign * apart(sign * far) <= 0.0:
+            return pair(root(apart, sign * near, sign * far))
+        near = far
+    return pair(sign * 0.98)
+
+
+def mean_slip(kappa: float, nu: float, rho: float, d: float) -> float:
+    """Mean slip k of wheels that slip by k (1 -+ d), move at (1 +- nu) of their axle's speed and roll on (1 -+ rho) of
+    its radius, where the mean of their speeds says kappa; to second order in nu, rho and k d."""
+    return (kappa - (nu + rho) * rho) / (1.0 - (nu + rho) * d)
 
 
 def friction(c: Car) -> tuple[float, float]:

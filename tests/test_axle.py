@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from reference_single_track import root
+from reference_single_track import mean_slip, root
 from test_single_effects import EPS, derived
 
 from vehicle_sbi.physics.axle import EQUAL, MOST, Slips, axle_force, axle_side_force
@@ -15,7 +15,7 @@ def axle(q: float, kappa: float, tan_alpha: float, a_y: float, *, load: float = 
     """Forces (F_x, F_y) [N] of the axle under `load` times its static one, asked for until its search has ended."""
     p, split, slope = derived(lateral_load_transfer_uneven=q, **more), 0.0, 0.0
     for _ in range(20):
-        slips = Slips(kappa, tan_alpha, tan_alpha, split, slope)
+        slips = Slips(kappa, 0.0, tan_alpha, tan_alpha, split, slope)
         found = axle_force(p, C, C, 1.0, load * F_Z, load, slips, a_y, a_y)
         if found.even:
             return found.F_x, found.F_y
@@ -71,6 +71,16 @@ def test_both_wheels_have_the_same_force_along_them(curve: dict[str, float], kap
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=10.0 * EQUAL * F_Z)
 
 
+@pytest.mark.parametrize("shrink", [1.0, 0.1])
+def test_the_mean_of_both_wheel_speeds_is_the_axle_s(shrink: float) -> None:
+    # omega_i = (1 + kappa_i) V_i / R_i of wheels that slip by k (1 -+ d), V (1 +- nu), R (1 -+ rho). The formula leaves
+    # out products of three of nu, rho and k, each 0.03 at most: there are fewer than 10 of them.
+    k, d, nu, rho = 0.03 * shrink, 0.6, 0.03 * shrink, -0.01 * shrink
+    speeds = ((1.0 + k * (1.0 - d)) * (1.0 + nu) / (1.0 - rho), (1.0 + k * (1.0 + d)) * (1.0 - nu) / (1.0 + rho))
+    assert mean_slip(sum(speeds) / 2.0 - 1.0, nu, rho, d) == pytest.approx(k, abs=10.0 * (0.03 * shrink) ** 3)
+    assert abs(sum(speeds) / 2.0 - 1.0 - k) > (0.01 * shrink) ** 2
+
+
 def test_even_wheels_slip_alike() -> None:
     # A difference of loads that vanishes leaves one tyre of twice the size.
     np.testing.assert_allclose(axle(1e-20, 0.03, 0.05, 5.0), axle(0.0, 0.03, 0.05, 5.0), rtol=1e-8)
@@ -87,7 +97,7 @@ def test_wheels_that_lock_or_spin_have_no_more_than_the_grip(kappa: float) -> No
 def test_a_given_pull_is_shared_between_both_wheels(F_x: float) -> None:
     # Each wheel has its half, so an axle of even wheels is one of two; uneven ones give no more.
     p, even = derived(lateral_load_transfer_uneven=0.01), derived()
-    slips = Slips(0.0, 0.06, 0.06, 0.0, 0.0)
+    slips = Slips(0.0, 0.0, 0.06, 0.06, 0.0, 0.0)
     whole = axle_side_force(even, 8e4, 1.0, F_Z, 1.0, F_x, slips, 4.0, 4.0)
     level = axle_side_force(p, 8e4, 1.0, F_Z, 1.0, F_x, slips, 1e-9, 1e-9)
     assert level[:2] == pytest.approx(whole[:2], rel=1e-9)

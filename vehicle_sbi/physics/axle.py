@@ -1,13 +1,15 @@
 """Both tyres of an axle that is one wheel to its model: forces of two wheels under loads that a turn makes uneven.
 
-    F = F_tyre(C/2, F_z (1 + s)/2, kappa (1 - d), alpha_R) + F_tyre(C/2, F_z (1 - s)/2, kappa (1 + d), alpha_L)
+    F = F_tyre(C/2, F_z (1 + s)/2, k (1 - d), alpha_R) + F_tyre(C/2, F_z (1 - s)/2, k (1 + d), alpha_L)
     s = sqrt(uneven) a_y F_z,static / F_z,         M_z = track/2 (F_x,R - F_x,L)
+    k = (kappa - (nu + rho) rho) / (1 - (nu + rho) d),   nu = r track / (2 v_x),   rho = s F_z / (6 C_vert R_f)
 
 in a turn to the left, the right wheel being the outer one. What the turn moves follows from the car's lateral
 acceleration and height, not from what an axle carries at the time. An open differential, or brakes of one pressure,
 give both wheels the same torque, so d is where both have the same longitudinal force: the inner wheel slips more
-(Rajamani, Vehicle Dynamics and Control, sec. 15.2). Their mean slip is the axle's. Wheels that stand apart move at
-v_x +- r track/2, which makes their slip angles differ.
+(Rajamani, Vehicle Dynamics and Control, sec. 15.2). Wheels that stand apart move at v_x (1 +- nu), which makes their
+slip angles differ, and roll on radii R (1 -+ rho). What an axle has of a wheel speed is the mean of both, so the mean
+slip k is the axle's but for products of what differs between them, to second order.
 """
 
 import math
@@ -23,9 +25,10 @@ MOST = 0.98  # a wheel keeps a little of the slip
 
 
 class Slips(NamedTuple):
-    """How both wheels of an axle slip: along them on average, tangents of their slip angles, how unequal along."""
+    """How both wheels of an axle slip: along them by their mean speed, tangents of their slip angles, how unequal."""
 
     kappa: float
+    faster: float  # share nu by which the right wheel moves faster, the left one slower
     tan_right: float
     tan_left: float
     split: float
@@ -60,12 +63,16 @@ def axle_force(
         F_x, F_y = tyre_force(p, C_kappa, C_alpha, mu, F_z, load, kappa, slips.tan_right, steady)
         return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, True)
     s = uneven(p, load, a_y)
+    rho = s * F_z / (6.0 * p.C_vert * p.R_f)
+    differ = slips.faster + rho
+    kappa -= differ * rho
     C_kappa, C_alpha, F_z = 0.5 * C_kappa, 0.5 * C_alpha, 0.5 * F_z
     F_zr, F_zl, load_r, load_l = (1.0 + s) * F_z, (1.0 - s) * F_z, (1.0 + s) * load, (1.0 - s) * load
     x_r = y_r = x_l = y_l = led = more_led = 0.0
     low, high, even = -MOST, MOST, False
     for step in range(SPLITS + 1):
-        kappa_r, kappa_l = max((1.0 - d) * kappa, -1.0), max((1.0 + d) * kappa, -1.0)
+        mean = kappa / (1.0 - differ * d)
+        kappa_r, kappa_l = max((1.0 - d) * mean, -1.0), max((1.0 + d) * mean, -1.0)
         x_r, y_r = tyre_force(p, C_kappa, C_alpha, mu, F_zr, load_r, kappa_r, slips.tan_right, steady)
         x_l, y_l = tyre_force(p, C_kappa, C_alpha, mu, F_zl, load_l, kappa_l, slips.tan_left, steady)
         both, more = abs(x_r + x_l), (x_r - x_l) * math.copysign(1.0, kappa)

@@ -163,6 +163,14 @@ def apart(p, v_across: float, speed: float, r: float) -> Wheels:
 
 
 @compiled
+def right_faster(p, v_x: float, steady: float) -> float:
+    """Share by which right wheels move faster than the middle of their axle, r track / (2 v_x), in a `steady` turn of
+    v_x r [m/s^2]; half of it at most, as where a car spins."""
+    share = 0.5 * p.lateral_load_transfer_track * steady / regular(v_x) ** 2
+    return min(max(share, -0.5), 0.5)
+
+
+@compiled
 def tangents(alpha: float, moving: Wheels) -> Wheels:
     """Tangents of both wheels' slip angles, alpha [rad] in the middle of the axle."""
     if moving.right == moving.left:
@@ -199,8 +207,9 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     if not relaxed and car.drive != SPEED:
         _, _, now_f, now_r = rolling(p, car, front, F_zf, F_zr)
         kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
-    slips_f = Slips(kappa_f, tan_f.right, tan_f.left, p.split_f, p.slope_f)
-    slips_r = Slips(kappa_r, car.tan_r.right, car.tan_r.left, p.split_r, p.slope_r)
+    faster = right_faster(p, car.v_x, out.steady)
+    slips_f = Slips(kappa_f, faster, tan_f.right, tan_f.left, p.split_f, p.slope_f)
+    slips_r = Slips(kappa_r, faster, car.tan_r.right, car.tan_r.left, p.split_r, p.slope_r)
     a_yf, a_yr, steady = p.moved_f * a_y, p.moved_r * a_y, out.steady
     if car.drive == SPEED:
         f = axle_side_force(p, C_f, mu_f, F_zf, load_f, car.pull_f, slips_f, steady, a_yf)
