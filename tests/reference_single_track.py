@@ -155,7 +155,7 @@ def tyre(
     size = float(np.hypot(*demand))
     if size == 0.0 or grip == 0.0:
         return float(F[0]), float(F[1])
-    z = size / grip / (1.0 + kappa)
+    z = size / grip
     peak, full = np.array([c["tyre_curve_longitudinal"], c["tyre_curve_peak"]]), c["tyre_curve_fullness"]
     along = grip * demand / size
     F = F + peak * (math.sin(1.5 * math.atan(z / 1.5)) * along - F) + full * (full_curve(z) * along - F)

@@ -15,7 +15,7 @@ import numpy as np
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.magic_formula import peaked_and_full
-from vehicle_sbi.physics.tyre import dugoff, dugoff_side
+from vehicle_sbi.physics.tyre import dugoff, dugoff_share, dugoff_side
 from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle
 
 EDGE = 0.1  # [s] over which what begins or ends at a moment does so
@@ -173,7 +173,7 @@ CATALOGUE: Mapping[str, Effect] = {
         _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late, instead of saturating",
                 "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(3/2, -17/8) - F_Dugoff), F_x with "
                 "longitudinal in place of peak alone, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, "
-                "z = demand over grip",
+                "z = |(C_kappa kappa, C_alpha tan(alpha))|/(mu F_z)",
                 f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0), longitudinal=("1", 0.0, 1.0, 0.0),
                 fullness=("1", 0.0, 1.0, 0.0)),
         _effect("relaxation", "tyre", "slips build up over a rolled length, beyond the file's C_alpha / K",
@@ -620,15 +620,14 @@ def uneven(p, load: float, a_y: float) -> float:
 
 
 @compiled
-def tyre_curve(p, z: float) -> tuple[float, float]:
-    """Factors on Dugoff's forces (F_x, F_y) at demand over grip z: blends towards magic formulas, one of which peaks
-    and one bends late (Pacejka, sec. 4.3), in place of z below the knee at 1/2 and 1 - 1/(4 z) beyond it."""
+def tyre_curve(p, z: float, share: float) -> tuple[float, float]:
+    """Forces (x, y) over demands at demand over grip z, where Dugoff's are `share` of them: blends towards magic
+    formulas, one of which peaks and one bends late (Pacejka, sec. 4.3)."""
     if z == 0.0:
-        return 1.0, 1.0
-    saturating = z if z <= 0.5 else 1.0 - 0.25 / z
+        return share, share
     peaked, full = peaked_and_full(z)
-    peaked, full = peaked / saturating - 1.0, full / saturating - 1.0
-    late = 1.0 + p.tyre_curve_fullness * full
+    peaked, full = peaked / z - share, full / z - share
+    late = share + p.tyre_curve_fullness * full
     return late + p.tyre_curve_longitudinal * peaked, late + p.tyre_curve_peak * peaked
 
 
@@ -698,12 +697,12 @@ def tyre_force(
     """Forces (F_x, F_y) [N] of a tyre or an axle under F_z [N], `load` times its static one, with the tyre effects."""
     stiffness = load_sensitivity(p, load)
     C_kappa, C_alpha = stiffness * C_kappa, stiffness * lateral_load_transfer(p, a_y) * C_alpha
-    F_x, F_y = dugoff(C_kappa, C_alpha, mu, F_z, kappa, tan_alpha)
     if not curved(p):
-        return F_x, F_y
-    demand = math.sqrt((C_kappa * kappa) ** 2 + (C_alpha * tan_alpha) ** 2)
-    along, across = tyre_curve(p, demand / max(mu * max(F_z, 0.0) * (1.0 + kappa), 1e-9))
-    return along * F_x, across * F_y
+        return dugoff(C_kappa, C_alpha, mu, F_z, kappa, tan_alpha)
+    demand_x, demand_y, grip = C_kappa * kappa, C_alpha * tan_alpha, mu * max(F_z, 0.0)
+    demand = math.sqrt(demand_x * demand_x + demand_y * demand_y)
+    along, across = tyre_curve(p, demand / max(grip, 1e-9), dugoff_share(demand, grip, kappa))
+    return along * demand_x, across * demand_y
 
 
 @compiled
@@ -713,7 +712,7 @@ def side_force(p, C_alpha: float, mu: float, F_z: float, load: float, F_x: float
     grip = mu * max(F_z, 0.0)
     F_x = min(max(F_x, -MOST_GRIP * grip), MOST_GRIP * grip)
     F_y, demand = dugoff_side(F_x, demand_y, grip)
-    if not curved(p):
+    if demand_y == 0.0 or not curved(p):
         return F_x, F_y
-    _, across = tyre_curve(p, demand / max(grip, 1e-9))
-    return F_x, across * F_y
+    _, across = tyre_curve(p, demand / max(grip, 1e-9), F_y / demand_y)
+    return F_x, across * demand_y

@@ -21,20 +21,26 @@ def dugoff(
 ) -> tuple[float, float]:
     """Axle forces (F_x, F_y) [N] at longitudinal slip `kappa` in [-1, 1) and tangent of the slip angle.
 
-    Below the knee the common factor f/(1 + kappa) is 1/(1 + kappa); beyond it the (1 + kappa) cancels, which gives a
-    locked wheel (kappa = -1) its finite limit, the friction circle. No slip or no stiffness is no force.
+    No slip or no stiffness is no force.
     """
-    demand_x = C_kappa * kappa
-    demand_y = C_alpha * tan_alpha
-    grip = mu * max(F_z, 0.0)
+    demand_x, demand_y = C_kappa * kappa, C_alpha * tan_alpha
     demand = math.sqrt(demand_x * demand_x + demand_y * demand_y)
     if demand == 0.0:
         return 0.0, 0.0
+    share = dugoff_share(demand, mu * max(F_z, 0.0), kappa)
+    return share * demand_x, share * demand_y
+
+
+@compiled
+def dugoff_share(demand: float, grip: float, kappa: float) -> float:
+    """Forces over their demands C_kappa kappa and C_alpha tan(alpha) [N], of size `demand`, at slip `kappa`, -1 to 1.
+
+    Below the knee the common factor f/(1 + kappa) is 1/(1 + kappa); beyond it the (1 + kappa) cancels, which gives a
+    locked wheel (kappa = -1) its finite limit, the friction circle.
+    """
     if grip * (1.0 + kappa) >= 2.0 * demand:
-        factor = 1.0 / (1.0 + kappa)
-    else:
-        factor = 0.5 * grip / demand * (2.0 - 0.5 * grip * (1.0 + kappa) / demand)
-    return demand_x * factor, demand_y * factor
+        return 1.0 / (1.0 + kappa)
+    return 0.5 * grip / demand * (2.0 - 0.5 * grip * (1.0 + kappa) / demand)
 
 
 @compiled
