@@ -298,8 +298,7 @@ def driven_pair(
     slips: tuple[float, float, float], differ: tuple[float, float], steady: float,
 ) -> list[tuple[float, float]]:  # fmt: skip
     """Forces of both wheels of an axle with the same torque, at slips kappa, alpha_right, alpha_left: k (1 - d) and
-    k (1 + d) whose forces along the wheels are equal, d as small as may be, or as near as one wheel's slip can bring
-    them; k as in `mean_slip` of (nu, rho)."""
+    k (1 + d), d as small as may be, or as near as one wheel's slip can bring them; k as in `mean_slip` of (nu, rho)."""
 
     def pair(d: float) -> list[tuple[float, float]]:
         each, k = zip(wheels, (1.0 - d, 1.0 + d), slips[1:], strict=True), mean_slip(slips[0], *differ, d)
@@ -307,7 +306,7 @@ def driven_pair(
 
     def apart(d: float) -> float:
         right, left = pair(d)
-        return (right[0] - left[0]) * np.sign(mean_slip(slips[0], *differ, 0.0))
+        return (right[0] * (1.0 - differ[1]) - left[0] * (1.0 + differ[1])) * np.sign(mean_slip(slips[0], *differ, 0.0))
 
     if mean_slip(slips[0], *differ, 0.0) == 0.0 or (wheels[0] == wheels[1] and slips[1] == slips[2]):
         return pair(0.0)
@@ -323,6 +322,11 @@ def mean_slip(kappa: float, nu: float, rho: float, d: float) -> float:
     """Mean slip k of wheels that slip by k (1 -+ d), move at (1 +- nu) of their axle's speed and roll on (1 -+ rho) of
     its radius, where the mean of their speeds says kappa; to second order in nu, rho and k d."""
     return (kappa - (nu + rho) * rho) / (1.0 - (nu + rho) * d)
+
+
+def turning_wheels(c: Car) -> float:
+    """I_w (track / 2 R)^2 [kg m^2] of both axles: a wheel's speed grows by r_dot track / (2 R), half of I_w is its."""
+    return (c["I_wf"] + c["I_wr"]) * (c["lateral_load_transfer_track"] / (2.0 * c["R_f"])) ** 2
 
 
 def friction(c: Car) -> tuple[float, float]:
@@ -381,7 +385,11 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     loads, a_y = axle_loads(c, now, a_x, v_x), (sideways_f + F.y_r + y) / mass(c)
     out = np.zeros(9)
     turn += F.turn + c["lateral_cog_y"] * (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r)
-    out[:3] = a_x + v_y * r, a_y - v_x * r, (l_f * sideways_f - l_r * F.y_r + turn) / yaw_inertia(c)
+    out[:3] = (
+        a_x + v_y * r,
+        a_y - v_x * r,
+        (l_f * sideways_f - l_r * F.y_r + turn) / (yaw_inertia(c) + turning_wheels(c)),
+    )
     if drive == "torque":
         R_f, R_r = effective_radius(c, loads[0], "front"), effective_radius(c, loads[1], "rear")
         out[3:5] = (u[1] - F.x_f * R_f) / c["I_wf"], (u[2] - F.x_r * R_r) / c["I_wr"]

@@ -72,7 +72,8 @@ def test_without_sprung_mass_it_is_the_single_track_model_whose_wheels_stand_apa
     u, initial = smooth_inputs(), (10.5, 0.1, 0.02)
     u[:, 0] *= 4.0
     four = finished(record_of(rigid), "speed", u, initial, model="full_vehicle")
-    two, one = (finished(record_of(replace(PAPER, K=math.inf), **more), "speed", u, initial) for more in (apart, {}))
+    light = replace(PAPER, K=math.inf, I_wf=1e-12, I_wr=1e-12)  # as with a given speed nothing turns the wheels
+    two, one = (finished(record_of(light, **more), "speed", u, initial) for more in (apart, {}))
     np.testing.assert_allclose(two[[A_Y, YAW, V_Y]], four[[A_Y, YAW, V_Y]], rtol=0.0, atol=1e-8)
     assert np.abs(two[YAW] - one[YAW]).max() > 1e-3
 

@@ -6,9 +6,9 @@
 
 in a turn to the left, the right wheel being the outer one. What the turn moves follows from the car's lateral
 acceleration and height, not from what an axle carries at the time. An open differential, or brakes of one pressure,
-give both wheels the same torque, so d is where both have the same longitudinal force: the inner wheel slips more
-(Rajamani, Vehicle Dynamics and Control, sec. 15.2). Wheels that stand apart move at v_x (1 +- nu), which makes their
-slip angles differ, and roll on radii R (1 -+ rho). What an axle has of a wheel speed is the mean of both, so the mean
+give both wheels the same torque, so d is where F_x,R (1 - rho) = F_x,L (1 + rho): the inner wheel slips more (Rajamani,
+Vehicle Dynamics and Control, sec. 15.2). Wheels that stand apart move at v_x (1 +- nu), which makes their slip angles
+differ, and roll on radii R (1 -+ rho). What an axle has of a wheel speed is the mean of both, so the mean
 slip k is the axle's but for products of what differs between them, to second order.
 """
 
@@ -18,7 +18,7 @@ from typing import NamedTuple
 from vehicle_sbi.physics.compiled import compiled
 from vehicle_sbi.physics.effects import side_force, tyre_force, uneven, wheels_differ
 
-NEAR = 1e-4  # difference of both longitudinal forces over their sum, from which a step of the search is the last one
+NEAR = 1e-4  # difference of both torques over their sum, from which a step of the search is the last one
 EQUAL = 1e-9  # the same, where the search has ended
 SPLITS = 40  # steps of it at most
 MOST = 0.98  # a wheel keeps a little of the slip
@@ -32,7 +32,7 @@ class Slips(NamedTuple):
     tan_right: float
     tan_left: float
     split: float
-    slope: float  # of what both forces differ by, as a share of their sum, over the split; 0 where it is not known
+    slope: float  # of what both torques differ by, as a share of their sum, over the split; 0 where it is not known
 
 
 class AxleForce(NamedTuple):
@@ -75,7 +75,7 @@ def axle_force(
         kappa_r, kappa_l = max((1.0 - d) * mean, -1.0), max((1.0 + d) * mean, -1.0)
         x_r, y_r = tyre_force(p, C_kappa, C_alpha, mu, F_zr, load_r, kappa_r, slips.tan_right, steady)
         x_l, y_l = tyre_force(p, C_kappa, C_alpha, mu, F_zl, load_l, kappa_l, slips.tan_left, steady)
-        both, more = abs(x_r + x_l), (x_r - x_l) * math.copysign(1.0, kappa)
+        both, more = abs(x_r + x_l), ((1.0 - rho) * x_r - (1.0 + rho) * x_l) * math.copysign(1.0, kappa)
         even = abs(more) <= EQUAL * both or high - low < EQUAL
         if even:
             break

@@ -164,7 +164,7 @@ CATALOGUE: Mapping[str, Effect] = {
         _effect("lateral_load_transfer", "tyre",
                 "an axle loses cornering stiffness, and its inner wheel slides first, as load moves to the outer one",
                 "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2), F_axle = F((F_z + S)/2) + F((F_z - S)/2) of "
-                "two wheels with equal F_x, at v_x +- r track/2, S = sqrt(uneven) a_y m g share, share_f = l_r/L + "
+                "two wheels of equal torque, at v_x +- r track/2, S = sqrt(uneven) a_y m g share, share_f = l_r/L + "
                 "front, share_r = l_f/L - front (the full vehicle has its own wheels)",
                 f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2",
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0),
@@ -230,7 +230,7 @@ _EFFECT_FIELDS = tuple(name for p in EFFECT_PARAMETERS.values() for name in p.fi
 _DERIVED = (
     "mass", "l_front", "l_rear", "I_z", "grip", "F_zf_static", "F_zr_static", "load_transfer",
     "sigma_f", "sigma_r", "stiff_f", "stiff_r", "slide_f", "slide_r", "step", "split_f", "split_r",
-    "slope_f", "slope_r", "moved_f", "moved_r",
+    "slope_f", "slope_r", "moved_f", "moved_r", "I_wheels",
     "R_front", "R_rear", "grade_gravity", "bank_gravity", "profiled",
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
@@ -268,10 +268,11 @@ def derive(p) -> None:
 
     Mass, its place and I_z = factor m l_f l_r (unless the vehicle file states it) with the payload; static loads m g
     l_r/L and m g l_f/L across a graded or banked road, and how much of what a turn moves each axle bears over its share
-    of them; load transfer m h/L [N per m/s^2]; relaxation lengths sigma =
-    C_alpha / K and what is added to it [m] (the paper's sec. II and equation 11); levers m_s h_s [kg m] of the sprung
-    mass, payload included, about the roll and pitch axes, wheels and axles taken to lie at the height of the wheels'
-    centres, with its moments of inertia about those axes [kg m^2]; the IMU's place. No more than all of m is sprung.
+    of them; what wheels that stand apart add to I_z, the outer ones turning faster; load transfer m h/L [N per m/s^2];
+    relaxation lengths sigma = C_alpha / K and what is added to it [m] (the paper's sec. II and equation 11); levers m_s
+    h_s [kg m] of the sprung mass, payload included, about the roll and pitch axes, wheels and axles taken to lie at the
+    height of the wheels' centres, with its moments of inertia about those axes [kg m^2]; the IMU's place. No more than
+    all of m is sprung.
     """
     p.mass, p.l_front, carried = payload(p)
     p.l_rear = p.L - p.l_front
@@ -284,6 +285,8 @@ def derive(p) -> None:
     p.R_front, p.R_rear = wheel_radius(p)
     p.moved_f = max(1.0 + p.lateral_load_transfer_front * p.L / p.l_rear, 0.0)
     p.moved_r = max(1.0 - p.lateral_load_transfer_front * p.L / p.l_front, 0.0)
+    wheels = (p.I_wf if p.I_wf > 0.0 else 0.0) + (p.I_wr if p.I_wr > 0.0 else 0.0)
+    p.I_wheels = wheels * (0.5 * p.lateral_load_transfer_track / p.R_f) ** 2
     p.grade_gravity = GRAVITY * math.sin(p.road_grade_angle)
     p.bank_gravity = GRAVITY * math.sin(p.road_bank_angle)
     p.profiled = 0.0

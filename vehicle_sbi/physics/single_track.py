@@ -267,7 +267,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     rate[V_X] = a_x + v_y * r
     rate[V_Y] = (found.F_lateral_f + found.F_yr + out.push_y) / p.mass - v_x * r
     moment = out.moment_z + lateral_cog(p, found.F_along) + found.M_z
-    rate[R] = (p.l_front * found.F_lateral_f - p.l_rear * found.F_yr + moment) / p.I_z
+    rate[R] = (p.l_front * found.F_lateral_f - p.l_rear * found.F_yr + moment) / (p.I_z + p.I_wheels)
     T_f, T_r = wheel_torque(u[T_F], state[OMEGA_F]), wheel_torque(u[T_R], state[OMEGA_R])
     rate[OMEGA_F] = (T_f - found.F_xf * rolls.R_f) / p.I_wf if drive == TORQUE else 0.0
     rate[OMEGA_R] = (T_r - found.F_xr * rolls.R_r) / p.I_wr if drive == TORQUE else 0.0
