@@ -5,22 +5,20 @@ import pytest
 from reference_single_track import mean_slip, root
 from test_single_effects import EPS, derived
 
-from vehicle_sbi.physics.axle import EQUAL, MOST, Slips, axle_force, axle_side_force
+from vehicle_sbi.physics.axle import EQUAL, MOST, Slips, Tyres, axle_force, axle_side_force
+from vehicle_sbi.physics.balance import WHOLE
 from vehicle_sbi.physics.effects import tyre_force
 
 F_Z, C = 6e3, 8e4  # load [N] and stiffness [N, N/rad] of the axle, at a friction coefficient of 1
 
 
 def axle(q: float, kappa: float, tan_alpha: float, a_y: float, *, load: float = 1.0, **more: float):
-    """Forces (F_x, F_y) [N] of the axle under `load` times its static one, asked for until its search has ended."""
-    p, split, slope = derived(lateral_load_transfer_uneven=q, **more), 0.0, 0.0
-    for _ in range(20):
-        slips = Slips(kappa, 0.0, tan_alpha, tan_alpha, split, slope)
-        found = axle_force(p, C, C, 1.0, load * F_Z, load, slips, a_y, a_y)
-        if found.even:
-            return found.F_x, found.F_y
-        split, slope = found.split, found.slope
-    raise AssertionError("the search does not end")
+    """Forces (F_x, F_y) [N] of the axle under `load` times its static one."""
+    p = derived(lateral_load_transfer_uneven=q, search=WHOLE, **more)
+    slips = Slips(kappa, 0.0, tan_alpha, tan_alpha, 0.0, 0.0)
+    found = axle_force(p, Tyres(C, C, 1.0, load * F_Z, load, a_y), slips, a_y)
+    assert found.even
+    return found.F_x, found.F_y
 
 
 def wheels(s: float, kappa: float, tan_alpha: float, d: float, **more: float) -> np.ndarray:
@@ -98,9 +96,10 @@ def test_a_given_pull_is_shared_between_both_wheels(F_x: float) -> None:
     # Each wheel has its half, so an axle of even wheels is one of two; uneven ones give no more.
     p, even = derived(lateral_load_transfer_uneven=0.01), derived()
     slips = Slips(0.0, 0.0, 0.06, 0.06, 0.0, 0.0)
-    whole = axle_side_force(even, 8e4, 1.0, F_Z, 1.0, F_x, slips, 4.0, 4.0)
-    level = axle_side_force(p, 8e4, 1.0, F_Z, 1.0, F_x, slips, 1e-9, 1e-9)
+    tyres = Tyres(C, C, 1.0, F_Z, 1.0, 4.0)
+    whole = axle_side_force(even, tyres, F_x, slips, 4.0)
+    level = axle_side_force(p, tyres, F_x, slips, 1e-9)
     assert level[:2] == pytest.approx(whole[:2], rel=1e-9)
-    along, side, *_ = axle_side_force(p, 8e4, 1.0, F_Z, 1.0, F_x, slips, 4.0, 4.0)
+    along, side, *_ = axle_side_force(p, tyres, F_x, slips, 4.0)
     assert along == F_x
     assert side < whole[1]

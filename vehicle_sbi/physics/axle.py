@@ -15,13 +15,25 @@ slip k is the axle's but for products of what differs between them, to second or
 import math
 from typing import NamedTuple
 
+from vehicle_sbi.physics.balance import HASTY, KEPT
 from vehicle_sbi.physics.compiled import compiled
 from vehicle_sbi.physics.effects import side_force, tyre_force, uneven, wheels_differ
 
-NEAR = 1e-4  # difference of both torques over their sum, from which a step of the search is the last one
+NEAR = 1e-4  # difference of both torques over their sum, from which a step of the search may be the last one
 EQUAL = 1e-9  # the same, where the search has ended
 SPLITS = 40  # steps of it at most
 MOST = 0.98  # a wheel keeps a little of the slip
+
+
+class Tyres(NamedTuple):
+    """An axle, or one of its wheels, in a turn."""
+
+    C_kappa: float  # stiffnesses [N, N/rad]
+    C_alpha: float
+    mu: float
+    F_z: float  # load [N], and in units of the static one
+    load: float
+    steady: float  # lateral acceleration of a steady turn [m/s^2]
 
 
 class Slips(NamedTuple):
@@ -49,34 +61,51 @@ class AxleForce(NamedTuple):
 
 
 @compiled
-def axle_force(
-    p, C_kappa: float, C_alpha: float, mu: float, F_z: float, load: float, slips: Slips, steady: float, a_y: float
-) -> AxleForce:
-    """Of an axle under F_z [N], `load` times its static one, at a_y [m/s^2], of a `steady` turn.
+def wheel(axle: Tyres, share: float) -> Tyres:
+    """Half of an axle, under so many times half of its load."""
+    C_kappa, C_alpha, F_z = 0.5 * axle.C_kappa, 0.5 * axle.C_alpha, 0.5 * axle.F_z
+    return Tyres(C_kappa, C_alpha, axle.mu, share * F_z, share * axle.load, axle.steady)
+
+
+@compiled
+def slipping(p, tyres: Tyres, kappa: float, tan_alpha: float) -> tuple[float, float]:
+    """Forces (F_x, F_y) [N] at these slips; a wheel that turns backwards counts as locked."""
+    C_kappa, C_alpha, mu, F_z, load, steady = tyres
+    return tyre_force(p, C_kappa, C_alpha, mu, F_z, load, max(kappa, -1.0), tan_alpha, steady)
+
+
+@compiled
+def pulling(p, tyres: Tyres, F_x: float, tan_alpha: float) -> tuple[float, float]:
+    """Forces (F_x, F_y) [N] where the longitudinal one is given, as far as the grip goes."""
+    return side_force(p, tyres.C_alpha, tyres.mu, tyres.F_z, tyres.load, F_x, tan_alpha, tyres.steady)
+
+
+@compiled
+def axle_force(p, axle: Tyres, slips: Slips, a_y: float) -> AxleForce:
+    """Of an axle at a lateral acceleration a_y [m/s^2].
 
     The search for the split goes on from that of `slips`, by the secant method between bounds, at first with the slope
     known from before or as if forces were in proportion to slips. It ends at a bound where no slip of the inner wheel
-    is enough: there it spins or locks. Close to the end one more step is left to the next call.
+    is enough: there it spins or locks. Close to the end it takes one step, whose forces the next call finds, as long as
+    it is HASTY. Tyres that have passed their peaks may share a torque in several ways, between which the loop of loads
+    may jump for ever: in the end the split is KEPT as it is.
     """
-    kappa, d, slope = slips.kappa, slips.split, slips.slope
     if not wheels_differ(p):
-        F_x, F_y = tyre_force(p, C_kappa, C_alpha, mu, F_z, load, kappa, slips.tan_right, steady)
+        F_x, F_y = slipping(p, axle, slips.kappa, slips.tan_right)
         return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, True)
-    s = uneven(p, load, a_y)
-    rho = s * F_z / (6.0 * p.C_vert * p.R_f)
+    s = uneven(p, axle.load, a_y)
+    right, left = wheel(axle, 1.0 + s), wheel(axle, 1.0 - s)
+    rho = s * axle.F_z / (6.0 * p.C_vert * p.R_f)
     differ = slips.faster + rho
-    kappa -= differ * rho
-    C_kappa, C_alpha, F_z = 0.5 * C_kappa, 0.5 * C_alpha, 0.5 * F_z
-    F_zr, F_zl, load_r, load_l = (1.0 + s) * F_z, (1.0 - s) * F_z, (1.0 + s) * load, (1.0 - s) * load
+    kappa, d, slope = slips.kappa - differ * rho, slips.split, (slips.slope if p.search == HASTY else 0.0)
     x_r = y_r = x_l = y_l = led = more_led = 0.0
     low, high, even = -MOST, MOST, False
     for step in range(SPLITS + 1):
         mean = kappa / (1.0 - differ * d)
-        kappa_r, kappa_l = max((1.0 - d) * mean, -1.0), max((1.0 + d) * mean, -1.0)
-        x_r, y_r = tyre_force(p, C_kappa, C_alpha, mu, F_zr, load_r, kappa_r, slips.tan_right, steady)
-        x_l, y_l = tyre_force(p, C_kappa, C_alpha, mu, F_zl, load_l, kappa_l, slips.tan_left, steady)
+        x_r, y_r = slipping(p, right, (1.0 - d) * mean, slips.tan_right)
+        x_l, y_l = slipping(p, left, (1.0 + d) * mean, slips.tan_left)
         both, more = abs(x_r + x_l), ((1.0 - rho) * x_r - (1.0 + rho) * x_l) * math.copysign(1.0, kappa)
-        even = abs(more) <= EQUAL * both or high - low < EQUAL
+        even = abs(more) <= EQUAL * both or high - low < EQUAL or p.search == KEPT
         if even:
             break
         if more > 0.0:
@@ -86,23 +115,20 @@ def axle_force(
         if step > 0:
             slope = (more - more_led) / ((d - led) * both)
         led, more_led = d, more
-        following = d - more / both / (slope if slope < 0.0 else -1.0 / (1.0 - d * d))
+        following = d - more / both / (slope if slope != 0.0 else -1.0 / (1.0 - d * d))
         d = following if low < following < high else 0.5 * (low + high)
-        if slope < 0.0 and abs(more) <= NEAR * both:
+        if p.search == HASTY and slope != 0.0 and abs(more) <= NEAR * both:
             break
     return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, d, slope, even)
 
 
 @compiled
-def axle_side_force(
-    p, C_alpha: float, mu: float, F_z: float, load: float, F_x: float, slips: Slips, steady: float, a_y: float
-) -> AxleForce:
-    """Of an axle whose longitudinal force [N] is given, as far as the grip of each wheel goes."""
+def axle_side_force(p, axle: Tyres, F_x: float, slips: Slips, a_y: float) -> AxleForce:
+    """Of an axle whose longitudinal force [N] is given and shared equally between its wheels."""
     if not wheels_differ(p):
-        F_x, F_y = side_force(p, C_alpha, mu, F_z, load, F_x, slips.tan_right, steady)
+        F_x, F_y = pulling(p, axle, F_x, slips.tan_right)
         return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, True)
-    s = uneven(p, load, a_y)
-    C_alpha, F_z, F_x = 0.5 * C_alpha, 0.5 * F_z, 0.5 * F_x
-    x_r, y_r = side_force(p, C_alpha, mu, (1.0 + s) * F_z, (1.0 + s) * load, F_x, slips.tan_right, steady)
-    x_l, y_l = side_force(p, C_alpha, mu, (1.0 - s) * F_z, (1.0 - s) * load, F_x, slips.tan_left, steady)
+    s = uneven(p, axle.load, a_y)
+    x_r, y_r = pulling(p, wheel(axle, 1.0 + s), 0.5 * F_x, slips.tan_right)
+    x_l, y_l = pulling(p, wheel(axle, 1.0 - s), 0.5 * F_x, slips.tan_left)
     return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, 0.0, 0.0, True)

@@ -16,6 +16,8 @@ LOAD_TOLERANCE = 1e-9  # [m/s^2], where the loop between load transfer and longi
 TWIST_TOLERANCE = 1e-12  # [rad], where that between side force and steering compliance does
 TWIST_WEIGHT = 1e3  # [m/s^2 per rad], what makes the two comparable
 LOAD_ITERATIONS = 100
+HASTY, WHOLE, KEPT = 0, 1, 2  # how `forces` solves for what is its own: by and by, at once, or no more
+UNTIL = (6, 20)  # iterations from which on it is at once, and no more
 SECANTS = 30  # of which the first so many extrapolate, the others go half the way
 
 
@@ -84,6 +86,7 @@ def settled(forces, p, car, a_x: float, a_y: float):
     front, twist, iteration = pointing(car.outside.delta), 0.0, 0
     before_x = before_y = before_turn = led_x = led_y = led_twist = 0.0
     while True:
+        p.search = HASTY if iteration < UNTIL[0] else WHOLE if iteration < UNTIL[1] else KEPT
         found = forces(p, car, front, a_x, a_y)
         missing = steering_compliance(p, found.F_yf) - twist
         off_x, off_y, turn = found.a_x - a_x, found.a_y - a_y, missing / slope

@@ -229,17 +229,20 @@ _EFFECT_FIELDS = tuple(name for p in EFFECT_PARAMETERS.values() for name in p.fi
 # What follows from the others and stays constant over a simulation; `derive` fills it.
 _DERIVED = (
     "mass", "l_front", "l_rear", "I_z", "grip", "F_zf_static", "F_zr_static", "load_transfer",
-    "sigma_f", "sigma_r", "stiff_f", "stiff_r", "slide_f", "slide_r", "step", "split_f", "split_r",
-    "slope_f", "slope_r", "moved_f", "moved_r", "I_wheels",
+    "sigma_f", "sigma_r", "stiff_f", "stiff_r", "slide_f", "slide_r", "moved_f", "moved_r", "I_wheels",
     "R_front", "R_rear", "grade_gravity", "bank_gravity", "profiled",
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
+
+# What the integrator keeps from one step to the next: its step [s], and how the search of each axle for its wheels'
+# slips goes on.
+OWN = ("step", "split_f", "split_r", "slope_f", "slope_r", "search")
 
 # What no effect stands for, following the input `latent` over time: a load on the body [N, N, N m], an error of the
 # road wheels' angle [rad], and one of a sensor, that of a row of MEASUREMENTS [its unit].
 LATENT = ("latent_x", "latent_y", "latent_z", "latent_steering", "latent_sensor", "latent_row")
 
-_FIELDS = (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *LATENT, *_DERIVED)
+_FIELDS = (*CONSTANTS, "I_z_stated", "duration", *_EFFECT_FIELDS, *LATENT, *_DERIVED, *OWN)
 RECORD = np.dtype([(name, np.float64) for name in _FIELDS])
 
 
@@ -254,7 +257,7 @@ def nominal_record(vehicle: Vehicle, duration: float = 0.0) -> np.void:
         record[name] = np.nan if value is None else value
     record["I_z_stated"] = vehicle.I_z or 0.0
     record["duration"] = duration
-    for name in (*LATENT, "step", "split_f", "split_r", "slope_f", "slope_r"):  # the integrator's own to set
+    for name in (*LATENT, *OWN):
         record[name] = 0.0
     for parameter in EFFECT_PARAMETERS.values():
         for name in parameter.fields:

@@ -14,7 +14,7 @@ and leaves only the lateral equations.
 import math
 from typing import NamedTuple
 
-from vehicle_sbi.physics.axle import Slips, axle_force, axle_side_force
+from vehicle_sbi.physics.axle import Slips, Tyres, axle_force, axle_side_force
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, lateral_cog, moves_load_across, pulls
@@ -136,6 +136,17 @@ def loads(p, car: Car, a_x: float) -> tuple[float, float]:
 
 
 @compiled
+def tyres(p, out: Outside, F_zf: float, F_zr: float) -> tuple[Tyres, Tyres]:
+    """Both axles under their loads [N]."""
+    C_kf, C_f, mu_f = p.stiff_f * p.C_kappa_f, p.stiff_f * p.C_alpha_f, p.slide_f * out.mu
+    C_kr, C_r, mu_r = p.stiff_r * p.C_kappa_r, p.stiff_r * p.C_alpha_r, p.slide_r * out.mu
+    return (
+        Tyres(C_kf, C_f, mu_f, F_zf, F_zf / p.F_zf_static, out.steady),
+        Tyres(C_kr, C_r, mu_r, F_zr, F_zr / p.F_zr_static, out.steady),
+    )
+
+
+@compiled
 def rolling(p, car: Car, front: Front, F_zf: float, F_zr: float) -> Rolling:
     """Radii and slips of wheels under axle loads [N]; no slip where the drive mode has none."""
     if car.drive == SPEED:
@@ -197,27 +208,21 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     """
     out, relaxed = car.outside, car.share_f == 1.0 and car.share_r == 1.0
     F_zf, F_zr = loads(p, car, a_x)
-    mu_f, mu_r = p.slide_f * out.mu, p.slide_r * out.mu
-    tan_f = car.tan_f
+    axle_f, axle_r = tyres(p, out, F_zf, F_zr)
+    tan_f, kappa_f, kappa_r = car.tan_f, car.kappa_f, car.kappa_r
     if car.share_f < 1.0:
         tan_f = tangents(mixed(car.share_f, car.alpha_f, front.delta - car.beta_f), car.apart_f)
-    load_f, load_r = F_zf / p.F_zf_static, F_zr / p.F_zr_static
-    C_f, C_r = p.stiff_f * p.C_alpha_f, p.stiff_r * p.C_alpha_r
-    kappa_f, kappa_r = car.kappa_f, car.kappa_r
     if not relaxed and car.drive != SPEED:
         _, _, now_f, now_r = rolling(p, car, front, F_zf, F_zr)
         kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
     faster = right_faster(p, car.v_x, out.steady)
     slips_f = Slips(kappa_f, faster, tan_f.right, tan_f.left, p.split_f, p.slope_f)
     slips_r = Slips(kappa_r, faster, car.tan_r.right, car.tan_r.left, p.split_r, p.slope_r)
-    a_yf, a_yr, steady = p.moved_f * a_y, p.moved_r * a_y, out.steady
     if car.drive == SPEED:
-        f = axle_side_force(p, C_f, mu_f, F_zf, load_f, car.pull_f, slips_f, steady, a_yf)
-        b = axle_side_force(p, C_r, mu_r, F_zr, load_r, car.pull_r, slips_r, steady, a_yr)
+        f = axle_side_force(p, axle_f, car.pull_f, slips_f, p.moved_f * a_y)
+        b = axle_side_force(p, axle_r, car.pull_r, slips_r, p.moved_r * a_y)
     else:
-        C_kf, C_kr = p.stiff_f * p.C_kappa_f, p.stiff_r * p.C_kappa_r
-        f = axle_force(p, C_kf, C_f, mu_f, F_zf, load_f, slips_f, steady, a_yf)
-        b = axle_force(p, C_kr, C_r, mu_r, F_zr, load_r, slips_r, steady, a_yr)
+        f, b = axle_force(p, axle_f, slips_f, p.moved_f * a_y), axle_force(p, axle_r, slips_r, p.moved_r * a_y)
         p.split_f, p.slope_f, p.split_r, p.slope_r = f.split, f.slope, b.split, b.slope
     F_along = f.F_x * front.cosine - f.F_y * front.sine + b.F_x
     F_lateral_f = f.F_x * front.sine + f.F_y * front.cosine
@@ -225,7 +230,7 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     solved = a_x if car.drive == SPEED else (F_along + out.push_x) / p.mass
     moved = abs(p.load_transfer * (solved - a_x))
     final = relaxed and ignores_load(p)
-    final = final and grips(mu_f, F_zf - moved, f.F_x, f.F_y) and grips(mu_r, F_zr - moved, b.F_x, b.F_y)
+    final = final and grips(axle_f.mu, F_zf - moved, f.F_x, f.F_y) and grips(axle_r.mu, F_zr - moved, b.F_x, b.F_y)
     solved_y = (F_lateral_f + b.F_y + out.push_y) / p.mass if moves_load_across(p) else a_y
     return Forces(solved, solved_y, final, f.even and b.even, f.F_x, f.F_y, F_along, F_lateral_f, b.F_x, b.F_y, M_z)
 
