@@ -273,7 +273,7 @@ def tyre_forces(
         turned = delta if axle == "f" else 0.0
         along = [x * math.cos(turned) - y * math.sin(turned) for x, y in pair]
         turn += c["lateral_load_transfer_track"] / 2.0 * (along[0] - along[1])
-    return Forces(*found, turn)
+    return Forces(*found, turn=turn)
 
 
 def wheel_angles(c: Car, state: np.ndarray, alphas: list[float]) -> list[tuple[float, float]]:
