@@ -17,9 +17,9 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 import numpy as np
 import pandas as pd
-from concealed.twin import Twin
+from concealed.twin import TRACK, Twin
 from whole_car.cars import WholeCar
-from whole_car.cases import _driven, _series, _simulator
+from whole_car.cases import base_model, driven, ideal_series
 
 from vehicle_sbi.mismatch.estimation.fit import descend
 from vehicle_sbi.mismatch.problem.observation import Observation
@@ -31,12 +31,11 @@ INHERENT = tuple(p.name for name in ("tyre_curve", "lateral_load_transfer") for 
 FRICTION = "friction_level.factor"
 START = {"tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004, "lateral_load_transfer.track": 1.5}
 STEPS = 30  # of Gauss-Newton
-TRACK = 1.55  # [m], of every twin (`concealed.twin`)
 
 
 def bare(seed: int, index: int) -> WholeCar:
     """The car of a case, its IMU on a level platform and nothing missing."""
-    car, _ = _driven(seed, index)
+    car, _ = driven(seed, index)
     if not isinstance(car.world, Twin):
         raise SystemExit(f"error: case {index} is a multi-body car")
     return replace(car, world=replace(car.world, on_body=False))
@@ -44,10 +43,10 @@ def bare(seed: int, index: int) -> WholeCar:
 
 def left(car: WholeCar, names: Sequence[str]) -> tuple[float, dict[str, float]]:
     """The signal-to-noise ratio of what a fit leaves, and the fitted values of these parameters."""
-    series = _series(car, car.train, {})
+    series = ideal_series(car, car.train, {})
     if series is None:
         raise SystemExit("error: without its effects this car cannot be driven so")
-    simulator, added = _simulator(car, series), [EFFECT_PARAMETERS[name] for name in names]
+    simulator, added = base_model(car, series), [EFFECT_PARAMETERS[name] for name in names]
     space = ParameterSpace((*simulator.space.parameters, *added))
     start = [car.base[name] for name in simulator.space.names] + [START.get(p.name, p.null) for p in added]
     freed = replace(simulator, space=space)

@@ -32,6 +32,7 @@ DELTA, T_F, T_R, F_X, F_Y, M_Z, GRIP, WARMTH, DRAG, G_X = range(10)
 INPUTS = 10
 STATES = 17  # v_x, v_y, r, phi, dphi/dt, four wheel speeds, lagged kappa and alpha of each wheel
 ROLL_GRADIENT = 0.006  # [rad/(m/s^2)] of the body, unless an effect states it
+TRACK = 1.55  # [m] of both axles
 EDGE = 0.1  # [s] over which what begins at a moment does so
 
 
@@ -187,7 +188,7 @@ class Twin:
         for name in ("h_cog", "C_kappa_f", "C_kappa_r", "C_alpha_f", "C_alpha_r", "I_wf", "I_wr"):
             p["h" if name == "h_cog" else name] = getattr(car, name)
         values = {
-            "m": m, "l_f": l_f, "l_r": car.L - l_f, "I_z": inertia + car.m * load / m * place**2, "track": 1.55,
+            "m": m, "l_f": l_f, "l_r": car.L - l_f, "I_z": inertia + car.m * load / m * place**2, "track": TRACK,
             "mu": car.mu, "R_f": car.R_f * of("wheel_radius", "front", 1.0),
             "R_r": car.R_f * of("wheel_radius", "rear", 1.0), "softness": 1.0 / car.C_vert,
             "sigma_f": car.C_alpha_f / car.K + of("relaxation", "front"),

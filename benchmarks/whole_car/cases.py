@@ -35,7 +35,7 @@ def build(seed: int, index: int, folder: Path) -> None:
     case, sealed = folder / "cases" / f"{index:04d}", folder / "sealed"
     if (case / "case.yaml").exists() and (sealed / f"{index:04d}.json").exists():
         return
-    car, series = _driven(seed, index)
+    car, series = driven(seed, index)
     rng = np.random.default_rng((seed, STREAM + 1, index))
     plans = dict(zip(_names(car), (*car.train, *car.heldout), strict=True))
     held = [name for name in plans if name.startswith("heldout")]
@@ -53,19 +53,19 @@ def _names(car: WholeCar) -> list[str]:
     return fitted + [f"heldout_{i}.csv" for i in range(len(car.heldout))]
 
 
-def _driven(seed: int, index: int) -> tuple[WholeCar, list[Series]]:
+def driven(seed: int, index: int) -> tuple[WholeCar, list[Series]]:
     """The first car drawn that can be driven as planned, or a little gentler, and what its ideal sensors would read."""
     for attempt in range(ATTEMPTS):
         car = whole_car(np.random.default_rng((seed, STREAM, index, attempt)))
         for _ in range(GENTLER):
-            series = _series(car, (*car.train, *car.heldout), car.effects)
+            series = ideal_series(car, (*car.train, *car.heldout), car.effects)
             if series is not None and _usable(car, series):
                 return car, series
             car = car.gentler(0.85)
     raise RuntimeError(f"case {index}: no car in {ATTEMPTS} can be driven")
 
 
-def _series(car: WholeCar, plans: Sequence[Plan], effects: Effects) -> list[Series] | None:
+def ideal_series(car: WholeCar, plans: Sequence[Plan], effects: Effects) -> list[Series] | None:
     found = [outside.drive(car.world, plan, effects) for plan in plans]
     return [one for one in found if one is not None] if all(one is not None for one in found) else None
 
@@ -80,13 +80,13 @@ def _usable(car: WholeCar, series: Sequence[Series]) -> bool:
     return True
 
 
-def _simulator(car: WholeCar, series: Sequence[Series]) -> Simulator:
+def base_model(car: WholeCar, series: Sequence[Series]) -> Simulator:
     pairs = zip(car.train, series, strict=True)
     return car.given.simulator([recording("a", p, one, car.given, {}) for p, one in pairs], car.sensors.total)
 
 
 def _truth(index: int, car: WholeCar, series: Sequence[Series]) -> dict[str, Any]:
-    simulator = _simulator(car, series)
+    simulator = base_model(car, series)
     at = fit(simulator, simulator.windows.y, np.array([car.base[name] for name in simulator.space.names]))
     projection = Projection(simulator, at)
     changes = projection.left(np.array([_change(car, simulator, at, name) for name in car.effects]))
@@ -116,11 +116,11 @@ def _truth(index: int, car: WholeCar, series: Sequence[Series]) -> dict[str, Any
 def _change(car: WholeCar, simulator: Simulator, at: np.ndarray, name: str) -> np.ndarray:
     """What an effect changes of the base model's residual, all others being there; zero where it is what lets the car
     be driven so."""
-    without = _series(car, car.train, {other: values for other, values in car.effects.items() if other != name})
+    without = ideal_series(car, car.train, {other: values for other, values in car.effects.items() if other != name})
     whole = residual(simulator, at, simulator.windows.y)
     if without is None:
         return np.zeros_like(whole)
-    other = _simulator(car, without)
+    other = base_model(car, without)
     if other.windows.y.shape != simulator.windows.y.shape:
         return np.zeros_like(whole)
     change = whole - residual(other, at, other.windows.y)

@@ -46,6 +46,7 @@ MOST_LOAD_TRANSFER = 0.005  # [1/(m/s^2)^2]
 MOST_UNEVEN = 0.015  # [1/(m/s^2)^2], (2 h_cog / (g track))^2
 # Springs and anti-roll bars set which axle bears how much of what a turn moves; no car leaves one of them almost none.
 MOST_SHIFTED = 0.3  # of all of it, from one axle to the other
+WIDEST = 1.9  # [m], track of a passenger car at most; the full vehicle's box ends at 1.8
 DEAD_TIME = "pure dead time"
 RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and Vehicle Dynamics"
 
@@ -169,7 +170,7 @@ CATALOGUE: Mapping[str, Effect] = {
                 f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2",
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0),
                 uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0), front=("1", -MOST_SHIFTED, MOST_SHIFTED, 0.0),
-                track=("m", 0.0, 1.9, 0.0)),
+                track=("m", 0.0, WIDEST, 0.0)),
         _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late, instead of saturating",
                 "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(3/2, -17/8) - F_Dugoff), F_x with "
                 "longitudinal in place of peak alone, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, "
