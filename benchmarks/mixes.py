@@ -8,6 +8,7 @@ import pandas as pd
 from concealed.benchmark import Concealed
 from injected.benchmark import Injected
 from whole_car.benchmark import WholeCars
+from whole_car.cars import OWN
 
 
 class Benchmark(Protocol):
@@ -44,5 +45,6 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     "concealed": Concealed("concealed"),
     "nothing": Concealed("nothing"),
     "whole_car": WholeCars(),
+    "own_model": WholeCars({OWN: 1.0}),
     "injected": Injected(),
 }

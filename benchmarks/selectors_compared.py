@@ -34,7 +34,7 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, line
 from vehicle_sbi.mismatch.hypotheses.discrepancy import discrepancies, responses
 from vehicle_sbi.mismatch.pipeline import AtOnce
 from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned, groups_of
-from vehicle_sbi.mismatch.selection.inclusion import Chain, Shared, sample
+from vehicle_sbi.mismatch.selection.inclusion import Chain, Sampled, Shared, sample
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.report.stage_file import read
 from vehicle_sbi.report.tables import markdown
@@ -82,18 +82,27 @@ def problem(path: Path, prior: EffectPrior) -> Problem | None:
     return Problem(pruned, linear_gaussian(pruned.expansion, [(pruned.fit, [d.whitened for d in here])]), prior)
 
 
-def gibbs(given: Problem, *, discrepancy: float | None = None) -> Probabilities:
+def selected(given: Problem, *, discrepancy: float | None = None) -> Sampled:
+    """Draws of the diagnosis' own sampler."""
     prior = given.prior if discrepancy is None else replace(given.prior, discrepancy=discrepancy)
     groups = groups_of(given.pruned.expansion, given.linear, prior)
     shared = Shared(spikes=(prior.negligible,))
-    drawn = sample(given.linear.H, given.linear.b, groups, shared, CHAIN, np.random.default_rng(0))
+    return sample(given.linear.H, given.linear.b, groups, shared, CHAIN, np.random.default_rng(0))
+
+
+def chances(given: Problem, drawn: Sampled) -> Probabilities:
+    """The probability that each effect is missing, by draws."""
     sizes = np.repeat(drawn.included[:, : len(given.pruned.expansion.groups)], given.pruned.expansion.groups, axis=1)
     names = np.array(given.names)
     return {name: float(sizes[:, names == name].any(axis=1).mean()) for name in dict.fromkeys(given.names)}
 
 
+def gibbs(given: Problem) -> Probabilities:
+    return chances(given, selected(given))
+
+
 def alone(given: Problem) -> Probabilities:
-    return gibbs(given, discrepancy=1e-6)
+    return chances(given, selected(given, discrepancy=1e-6))
 
 
 def _marginal(given: Problem) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:

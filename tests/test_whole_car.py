@@ -18,11 +18,13 @@ from vehiclemodels import vehicle_dynamics_mb
 from vehiclemodels.init_mb import init_mb
 from whole_car import cases, oracle, page
 from whole_car.benchmark import WholeCars
-from whole_car.cars import INHERENT, LATERAL, OFF, RATE, whole_car
+from whole_car.cars import INHERENT, LATERAL, OFF, OWN, RATE, whole_car
+from whole_car.cases import base_model, driven
 from whole_car.missing import FEWEST, MOST, REAL
 from whole_car.scores import Scored, as_line, from_line, scored, standing
 from whole_car.scores import parameters as errors_of
 
+from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.physics.vehicle import GRAVITY
 
@@ -70,6 +72,23 @@ def test_what_a_world_has_by_itself_is_what_it_does_with_nothing_put_into_it() -
     assert "body_roll" in INHERENT["twin, IMU on the body"]
     assert "body_roll" not in INHERENT["twin"]
     assert "accelerometer_scale" in standing({"effects": {}, "inherent": ["body_roll"]})
+
+
+def test_a_car_that_is_the_tool_s_own_model_is_one_that_its_oracle_can_follow() -> None:
+    """Told what is missing and how large, the model's series are those that were recorded, from straight driving on."""
+    car, series = driven(0, 0, {OWN: 1.0})
+    assert {"tyre_curve", "lateral_load_transfer"} <= set(car.effects) <= CATALOGUE.keys()
+    simulator = base_model(car, series[: len(car.train)])
+    own = {f"{name}.{key}": x for name, values in car.effects.items() for key, x in values.items()}
+    space = ParameterSpace((*simulator.space.parameters, *(EFFECT_PARAMETERS[name] for name in own)))
+    knowing = replace(simulator, space=space)
+    null = [EFFECT_PARAMETERS[name].null or 0.0 for name in own]
+    with_them, without = knowing.noise_free(np.array([[*car.base.values(), *x] for x in (own.values(), null)]))
+    row, first = simulator.windows.channels.index("a_y"), simulator.windows.t.shape[1]
+    true = simulator.windows.y[row, :first]
+    # commands are straight between samples, torques and steering arrive later: a hundredth of a_y is not followed
+    assert np.std(with_them[row, :first] - true) < 0.01 * np.std(true)
+    assert np.std(without[row, :first] - true) > 0.1 * np.std(true)
 
 
 def test_the_twin_s_axles_lose_side_force_as_their_loads_become_uneven() -> None:

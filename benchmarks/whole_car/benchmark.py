@@ -1,7 +1,7 @@
 """Whole cars, four to nine things missing at once: what a campaign asks of this benchmark."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pandas as pd
@@ -10,17 +10,19 @@ from measures import by_all
 from score_files import SUFFIX, called, lines_of
 
 from whole_car import cases, oracle, page
+from whole_car.cars import WORLDS
 from whole_car.scores import SIMPLER, Scored, as_line, from_line, scored
 
 
 @dataclass(frozen=True)
 class WholeCars:
-    """Cars of which much is missing, judged by their parameters and by the names."""
+    """Cars of which much is missing, judged by their parameters and by the names, in these worlds."""
 
+    worlds: Mapping[str, float] = field(default_factory=lambda: WORLDS)
     simpler: Sequence[str] = tuple(SIMPLER)
 
     def build(self, seed: int, index: int, folder: Path) -> None:
-        cases.build(seed, index, folder)
+        cases.build(seed, index, folder, self.worlds)
 
     def prepare(self, case: Path, sealed: Path, *, baselines: bool) -> None:
         oracle.write(case, sealed)

@@ -7,14 +7,15 @@ import numpy as np
 from concealed import drives
 from concealed.multibody_car import SETS, MultiBody, vehicle_of
 from concealed.strength import Given, Noise
-from concealed.twin import Twin
-from concealed.worlds import World
+from concealed.twin import TRACK, Twin
+from concealed.worlds import OwnModel, World
 
 from vehicle_sbi.data.channels import NEEDED
 from vehicle_sbi.physics.vehicle import GRAVITY, Vehicle
 from whole_car import missing
 
 WORLDS = {"twin": 0.4, "twin, IMU on the body": 0.4, "multi-body car": 0.2}
+OWN = "the tool's own model"
 DRIVES = {"speed": 0.5, "wheel_speed": 0.2, "torque": 0.3}
 RATE = 50.0  # [Hz]
 LATERAL = (2.0, 8.0)  # [m/s^2], peak of a case's drives
@@ -36,6 +37,7 @@ INHERENT: Mapping[str, tuple[str, ...]] = {
         "body_roll",
         "body_pitch",
     ),
+    OWN: (),
 }
 """Effects that each world has by itself: its tyres are not Dugoff's, its wheels' loads are uneven in a turn, its body
 leans, its axles give way sideways (the multi-body car's by 175 kN/m). Naming one is never wrong."""
@@ -130,9 +132,16 @@ def _sensors(rng: np.random.Generator, given: Given) -> Sensors:
     return Sensors(noise=noise, steps=steps)
 
 
-def whole_car(rng: np.random.Generator) -> WholeCar:
-    """Everything of a case, drawn without a look at what it would show."""
-    name = _chosen(rng, WORLDS)
+def _always(car: Vehicle, rng: np.random.Generator) -> dict[str, dict[str, float]]:
+    """What the twin has by itself, as effects of the tool's own model."""
+    uneven = (2.0 * (car.h_cog or 0.0) / (GRAVITY * TRACK)) ** 2
+    wheels = {"uneven": uneven, "track": TRACK, "front": float(rng.uniform(-0.1, 0.1))}
+    return {"tyre_curve": {"fullness": float(rng.uniform(0.6, 1.0))}, "lateral_load_transfer": wheels}
+
+
+def whole_car(rng: np.random.Generator, worlds: Mapping[str, float] = WORLDS) -> WholeCar:
+    """Everything of a case, drawn without a look at what it would show; of each world as often as its share says."""
+    name = _chosen(rng, worlds)
     multibody, carcass = name == "multi-body car", bool(rng.uniform() >= UNSTATED_CARCASS)
     number = int(rng.choice(list(SETS)))
     car = vehicle_of(number) if multibody else drives.car(rng, relaxed=carcass, body=False)
@@ -154,10 +163,14 @@ def whole_car(rng: np.random.Generator) -> WholeCar:
     effects = missing.drawn(
         rng, drive=given.drive, fitted=fitted, stated_carcass=carcass and not multibody, multibody=multibody
     )
-    effects |= missing.drawn_outside(rng, shortest, multibody=multibody)
+    effects |= missing.drawn_outside(rng, shortest, multibody=multibody) if name != OWN else {}
     shape = float(rng.uniform(1.2, 1.5))
     curvature = -(1.0 + shape**2 / 2) * float(rng.uniform(0.7, 1.0))
     world: World = Twin(car=car, gain=gain, C=shape, E=curvature, on_body=name != "twin")
+    if name == OWN:
+        world = OwnModel(car=car, model=given.model, drive_mode=given.drive, gain=gain)
+        for effect, values in _always(car, rng).items():
+            effects[effect] = values | effects.get(effect, {})
     if multibody:
         world = MultiBody(number=number, gain=gain, on_body=True)
         plans = [world.slower(plan) for plan in plans]

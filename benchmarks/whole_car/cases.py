@@ -22,7 +22,7 @@ from concealed.worlds import Series
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.physics.effects import CATALOGUE
-from whole_car.cars import INHERENT, WholeCar, whole_car
+from whole_car.cars import INHERENT, WORLDS, WholeCar, whole_car
 
 ALIKE = 0.95  # coherence, from which an effect cannot be told from another
 ATTEMPTS, GENTLER = 20, 6  # cars that are drawn, and drives that are slowed down, until all can be driven
@@ -30,12 +30,12 @@ STREAM = 30
 Effects = Mapping[str, Mapping[str, float]]
 
 
-def build(seed: int, index: int, folder: Path) -> None:
+def build(seed: int, index: int, folder: Path, worlds: Mapping[str, float] = WORLDS) -> None:
     """Case `index` under folder/cases, its truth under folder/sealed; nothing to do where it stands."""
     case, sealed = folder / "cases" / f"{index:04d}", folder / "sealed"
     if (case / "case.yaml").exists() and (sealed / f"{index:04d}.json").exists():
         return
-    car, series = driven(seed, index)
+    car, series = driven(seed, index, worlds)
     rng = np.random.default_rng((seed, STREAM + 1, index))
     plans = dict(zip(_names(car), (*car.train, *car.heldout), strict=True))
     held = [name for name in plans if name.startswith("heldout")]
@@ -53,10 +53,10 @@ def _names(car: WholeCar) -> list[str]:
     return fitted + [f"heldout_{i}.csv" for i in range(len(car.heldout))]
 
 
-def driven(seed: int, index: int) -> tuple[WholeCar, list[Series]]:
+def driven(seed: int, index: int, worlds: Mapping[str, float] = WORLDS) -> tuple[WholeCar, list[Series]]:
     """The first car drawn that can be driven as planned, or a little gentler, and what its ideal sensors would read."""
     for attempt in range(ATTEMPTS):
-        car = whole_car(np.random.default_rng((seed, STREAM, index, attempt)))
+        car = whole_car(np.random.default_rng((seed, STREAM, index, attempt)), worlds)
         for _ in range(GENTLER):
             series = ideal_series(car, (*car.train, *car.heldout), car.effects)
             if series is not None and _usable(car, series):

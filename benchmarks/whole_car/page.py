@@ -37,6 +37,12 @@ def _unknown(outside: bool) -> Callable[[Scored], np.ndarray]:
     return lambda one: listed(one.p_unknown) > NAMED if bool(one.outside) == outside else np.zeros(0)
 
 
+def _doubt(one: Scored) -> float | None:
+    """How many of its names a case expects to be wrong; none of those that are sure of all."""
+    expected = sum(1.0 - p for p in one.names.values())
+    return expected if expected > 0.0 or not one.names else None
+
+
 BASE = (("before", "base model"), ("after", "after diagnosis"), ("oracle", "oracle"))
 MEASURES: tuple[Measure[Scored], ...] = (
     *(
@@ -62,6 +68,7 @@ MEASURES: tuple[Measure[Scored], ...] = (
     Measure(
         f"names above {NAMED} that are not there, a case", lambda one: listed(len(one.wrong)), mean, "0.3", "0.1"
     ),
+    Measure("as many as the stated probabilities lead to expect", lambda one: listed(_doubt(one)), mean),
     Measure(f"names above {NAMED}, a case", lambda one: listed(len(one.names)), mean),
     Measure(
         "calibration error of inclusion probabilities above 0", lambda one: one.inclusion[one.inclusion[:, 0] > 0.0],

@@ -152,6 +152,11 @@ def scored(folder: Path, index: int, diagnosis: str) -> Scored | None:
     )
 
 
+def by_selection(truth: Json, case: Path, said: Mapping[str, float], after: Parameters | None) -> Scored:
+    """A case by the probabilities of its effects and the base parameters alone."""
+    return Scored(**_naming(truth, case, said), inclusion=_inclusion(truth, said), after=after)
+
+
 def _by_simpler(folder: Path, index: int, method: str) -> Scored | None:
     """A case by forward selection or the lasso: what they name, they are sure of."""
     case = folder / "cases" / f"{index:04d}"
