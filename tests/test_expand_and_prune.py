@@ -7,16 +7,17 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 from test_effect_prior import stated
 
-from vehicle_sbi.inference.directions import left_out
+from vehicle_sbi.inference.directions import left_out, null
+from vehicle_sbi.inference.information import SEEN
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
-from vehicle_sbi.mismatch.estimation.fit import Fit
-from vehicle_sbi.mismatch.estimation.linear_gaussian import linear_gaussian, order
+from vehicle_sbi.mismatch.estimation.fit import Fit, relinearised
+from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order, showing, to_nulls
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, discrepancies, responses
 from vehicle_sbi.mismatch.selection.expand_and_prune import (
     Budget,
     Pruned,
+    _likeliest_before,
     _Round,
-    _simulated,
     expand_and_prune,
     folded,
 )
@@ -68,6 +69,41 @@ def test_draws_beyond_a_bound_keep_their_spread_within_it() -> None:
     assert found[:, 0].mean() == pytest.approx(0.6, abs=0.01)
     assert found[:, 0].std() == pytest.approx(0.1, abs=0.01)
     np.testing.assert_array_equal(found[:, 2], high[2])  # farther than the box is wide
+
+
+def test_what_the_linear_model_says_of_an_effect_that_is_missing_is_exact_where_it_is_not(
+    expanded: tuple[Expansion, Fit],
+) -> None:
+    expansion, fit = expanded
+    steady, own = to_nulls(expansion, fit), len(expansion.base)
+    valid, moved = fit.simulator.windows.valid, 0
+    for k, p in enumerate(expansion.sizes, start=own):
+        back = fit.theta.copy()
+        back[k] = null(p)
+        if abs(fit.theta[k] - back[k]) <= 0.1 * expansion.typical[k - own]:
+            np.testing.assert_array_equal(steady.at.J[k], fit.at.J[k])
+            continue
+        step = (back[k] - fit.theta[k]) / fit.simulator.space.prior_std[k]
+        simulated = fit.simulator.noise_free(back[None])[0]
+        np.testing.assert_allclose((fit.at.y + step * steady.at.J[k])[valid], simulated[valid], atol=1e-9)
+        moved += 1
+    assert moved >= 2
+    others = [k for k in range(len(fit.theta)) if not own <= k < own + len(expansion.sizes)]
+    np.testing.assert_array_equal(steady.at.J[others], fit.at.J[others])
+
+
+@pytest.mark.parametrize("coherence", [0.0, 0.6, 0.999])
+def test_a_size_shows_by_what_base_parameters_leave_of_it(expanded: tuple[Expansion, Fit], coherence: float) -> None:
+    # A base column of length s takes c^2 s^2 / (s^2 + 1) of a size's, its prior being worth 1: what is left of it, at
+    # the far end of the box, has a signal-to-noise ratio of 2.8 just above which it shows.
+    roll, s = expanded[0].only({"body_roll.gradient"}), 50.0
+    own, columns = len(roll.base), len(roll.unit)
+    share = 1.0 - coherence**2 * s**2 / (s**2 + 1.0)
+    for factor, expected in ((0.99, False), (1.01, True)):
+        t = factor * SEEN / np.sqrt(share) / roll.reach[0]
+        H = np.diag(np.repeat([s**2, 1.0, t**2], [own, columns - own - 1, 1]))
+        H[0, -1] = H[-1, 0] = coherence * s * t
+        assert showing(roll, LinearGaussian(H, np.zeros(columns), np.zeros(0, dtype=int))).tolist() == [expected]
 
 
 def test_columns_and_residual_are_those_of_the_fit(expanded: tuple[Expansion, Fit]) -> None:
@@ -133,19 +169,22 @@ def test_what_is_believed_to_be_rare_is_named_less(base: Fit, pruned: Pruned) ->
     assert found.effects["body_roll"] <= pruned.effects["body_roll"] + 0.05
 
 
-def test_a_next_start_is_as_far_on_the_way_as_the_car_can_be_simulated(expanded: tuple[Expansion, Fit]) -> None:
+def test_a_next_start_is_the_likeliest_on_the_way_that_the_car_can_be_simulated_at(
+    expanded: tuple[Expansion, Fit],
+) -> None:
     expansion, fit = expanded
-    near = fit.theta + 0.01 * (expansion.rest - fit.theta)
-    assert _simulated(fit, near) == pytest.approx(near)
+    aside = relinearised(fit, fit.theta + 0.02 * (expansion.rest - fit.theta))
+    assert _likeliest_before(aside, fit.theta) == pytest.approx(fit.theta)  # which is where it is likeliest
     spun = fit.theta.copy()  # the rear axle cannot hold a car whose mass lies there
     for name, value in {"l_f": 2.4, "delta_C_alpha_r": -0.9}.items():
         spun[expansion.space.column(name)] = value
     assert not np.isfinite(fit.simulator.noise_free(spun[None])).all()
-    start = _simulated(fit, spun)
+    start = _likeliest_before(fit, spun)
     share = (start - fit.theta)[spun != fit.theta] / (spun - fit.theta)[spun != fit.theta]
     assert np.ptp(share) < 1e-9
     assert 0.0 <= share[0] < 1.0
-    assert np.isfinite(fit.simulator.noise_free(start[None])).all()
+    there, here = (fit.costs(x[None], fit.simulator.noise_free(x[None]))[0] for x in (start, fit.theta))
+    assert there <= here
 
 
 def test_the_likeliest_model_is_fitted_although_no_draw_of_it_can_be_simulated(base: Fit, pruned: Pruned) -> None:
@@ -167,7 +206,7 @@ def test_a_friction_that_is_stated_too_high_is_found_although_nothing_changes_ne
     asleep = [d.parameter for d in known if d.asleep]
     assert [p.name.split(".")[0] for p in asleep] == 3 * ["friction_level"]
     now = _Round.first(base, Expansion.of(base.simulator.space, known, stated()))
-    unaware, woken = now.expansion.likeliest(now.observation, [now.start], now.rms), now.first_fit(asleep)
+    unaware, woken = now.expansion.likeliest(now.observation, now.rms, near=[now.start]), now.first_fit(asleep)
     assert unaware is not None
     assert woken is not None
     assert woken.log_likelihood > unaware.log_likelihood + 100.0  # of 5 standard deviations there are 12.5

@@ -83,7 +83,7 @@ def pruned() -> Pruned:
     fit = replace(base, observation=replace(base.observation, simulator=sim))
     rng, inside = np.random.default_rng(1), np.zeros(len(expansion.space))
     included, discrepant = rng.random((N, 2)) < 0.5, rng.random((N, 3)) < 0.2
-    return Pruned(expansion, uniform(expansion.space), included, discrepant, inside, fit, [])
+    return Pruned(expansion, uniform(expansion.space), included, discrepant, inside, np.ones(2, dtype=bool), fit, [])
 
 
 @pytest.fixture(scope="module")
@@ -182,6 +182,7 @@ def test_a_diagnosis_to_which_no_effect_is_known_has_draws_too(pruned: Pruned, t
         np.zeros((N, 0), dtype=bool),
         pruned.discrepant,
         np.zeros(len(base)),
+        np.zeros(0, dtype=bool),
         fit,
         [],
     )

@@ -287,3 +287,23 @@ def test_a_quantised_channel_keeps_its_rounding_noise(step: float) -> None:
     assert sensor_noise(windows.y, windows).floor[0] >= step / np.sqrt(12.0) * (1 - 1e-9)
     assert rounding(windows.y[0]) == pytest.approx(step / np.sqrt(12.0))
     assert rounding(np.random.default_rng(0).normal(size=4000)) == 0.0
+
+
+def test_a_quick_drive_is_not_taken_for_slow_noise() -> None:
+    # A swing of 3 Hz leaves something of itself beside the noise, which reads like a correlation of almost 1. With half
+    # a second of memory at most its part of the noise at low frequencies, floor^2 (1 + rho) / (1 - rho), is bounded.
+    y = np.sin(2.0 * np.pi * 3.0 * np.arange(4000) / 50.0) + 0.03 * ar1_series(0.7, 4000, np.random.default_rng(5))
+    windows = as_windows(y[None], 50.0)
+    free, bounded = sensor_noise(windows.y, windows), sensor_noise(windows.y, windows, 0.5)
+    assert free.rho[0] > bounded.rho[0] == pytest.approx(np.exp(-1.0 / 25.0))
+    slow = [one.floor[0] ** 2 * (1.0 + one.rho[0]) / (1.0 - one.rho[0]) for one in (free, bounded)]
+    assert slow[1] < 0.5 * slow[0]
+
+
+def test_innovations_are_what_each_sample_adds() -> None:
+    noise = from_residual(
+        as_windows(ar1_series(0.8, 4000, np.random.default_rng(6))[None], 50.0).y, as_windows(np.zeros((1, 4000)), 50.0)
+    )
+    white = noise.innovations
+    assert white.rho.tolist() == [0.0]
+    assert white.floor[0] == pytest.approx(noise.floor[0] * np.sqrt(1.0 - noise.rho[0] ** 2))

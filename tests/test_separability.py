@@ -69,6 +69,23 @@ def test_what_is_fitted_is_no_candidate_and_absorbs_what_looks_like_it() -> None
     assert abs(absorbed.absorbed["accelerometer_bias.x"]) > 10 * abs(absorbed.absorbed["l_f"])
 
 
+def test_what_acts_does_so_whatever_absorbs_it() -> None:
+    # A bias of a_x is a grade where the speed is given: with the one fitted the other shows less, and acts as before.
+    sim, bias = lateral(), CATALOGUE["accelerometer_bias"].parameters[0]
+    fitted = replace(sim, space=ParameterSpace((*sim.space.parameters, bias)))
+    before, after = card(sim, MIDDLE), card(fitted, np.array([1.25, 0.0]))
+    acting = [{c.parameter.name for c in found.candidates if c.acts} for found in (before, after)]
+    assert acting[1] == acting[0] - {bias.name}
+    assert {c.parameter.name for c in before.candidates if c.visible} <= acting[0]
+    assert "road_grade.angle" in acting[1]
+    assert (
+        after.candidates[entry(after, "road_grade.angle")].share
+        > before.candidates[entry(before, "road_grade.angle")].share
+    )
+    known = directions(fitted, np.array([1.25, 0.0]), CATALOGUE["road_grade"])
+    assert card(fitted, np.array([1.25, 0.0]), known).acting(known) == known
+
+
 def test_what_does_the_same_to_every_channel_is_one_group() -> None:
     # With the speed given, grade is nothing but g sin(angle) in a_x, as a bias is; roll is a gain of a_y.
     found = card(lateral(), MIDDLE)

@@ -7,7 +7,7 @@ autocorrelated (AR(1)) where it was estimated from a recording.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -126,6 +126,11 @@ class MeasurementNoise:
         larger = self.floor > self.sensor.floor
         floor, rho = np.minimum(self.floor, self.sensor.floor), np.where(larger, self.sensor.rho, self.rho)
         return MeasurementNoise(self.share, floor, rho, self.window)
+
+    @property
+    def innovations(self) -> "MeasurementNoise":
+        """White noise as large as what is new in each sample, out of which a slow change stands the farthest."""
+        return replace(self, floor=self.floor * np.sqrt(1.0 - self.rho**2), rho=np.zeros_like(self.rho))
 
     @property
     def misfit(self) -> Float[np.ndarray, " channels"]:
@@ -257,11 +262,12 @@ def rough(y: Float[np.ndarray, "channels time"], windows: Windows) -> Float[np.n
     return (series - savgol_filter(series, length, SMOOTHING_ORDER, axis=-1)).reshape(y.shape)
 
 
-def sensor_noise(y: Float[np.ndarray, "channels time"], windows: Windows) -> SensorNoise:
+def sensor_noise(y: Float[np.ndarray, "channels time"], windows: Windows, memory_s: float = np.inf) -> SensorNoise:
     """The AR(1) noise that leaves the fast scatter which each channel has, and no slow one, or its rounding if larger.
 
     Of unit noise with correlation rho^lag the polynomial's residual has the variance g' R g and the lag-one covariance
-    g' R S g (g the filter, R_ij = rho^|i-j|, S a shift): their ratio tells rho, the variance then the noise's.
+    g' R S g (g the filter, R_ij = rho^|i-j|, S a shift): their ratio tells rho, the variance then the noise's. The
+    correlation time is memory_s [s] at most: a quick drive leaves something of itself, which reads like slow noise.
     """
     rest, floor, rho = rough(np.where(windows.valid, y, np.nan), windows), [], []
     ratios, shares = _left_by_filter(min(_smoothed_over(windows.rate), windows.t.shape[1]))
@@ -269,7 +275,7 @@ def sensor_noise(y: Float[np.ndarray, "channels time"], windows: Windows) -> Sen
         pairs = _neighbours(valid, windows.t.shape[1])
         square = float(np.mean(values[valid] ** 2)) if valid.any() else 0.0
         ratio = float(np.mean(values[pairs] * values[pairs + 1])) / max(square, TINY**2) if len(pairs) else 0.0
-        rho.append(float(np.interp(ratio, ratios, CORRELATIONS)))
+        rho.append(min(float(np.interp(ratio, ratios, CORRELATIONS)), largest_rho(windows.rate, memory_s)))
         share = float(np.interp(rho[-1], CORRELATIONS, shares))
         floor.append(max(np.sqrt(square / share), rounding(read[valid]), TINY))
     return SensorNoise(np.array(floor), np.array(rho))

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components
 
+from vehicle_sbi.data.noise import MeasurementNoise
 from vehicle_sbi.inference.directions import Direction, left_out, null, slopes
 from vehicle_sbi.inference.information import SEEN, sensitivity
 from vehicle_sbi.inference.simulator import Simulator
@@ -35,7 +36,8 @@ class Candidate:
 
     `absorbed` says by how many of its prior's standard deviations each fitted parameter moves for an effect of the
     smallest size that is seen (or of the prior's half width, if that is less); `taken` which share each
-    of them takes, negative where it makes up for another one.
+    of them takes, negative where it makes up for another one. What `acts` changes enough within its prior to be seen,
+    if fitted parameters absorbed nothing and noise had no memory: though hidden, it may move these.
     """
 
     parameter: Parameter
@@ -43,6 +45,7 @@ class Candidate:
     size: float
     absorbed: dict[str, float]
     taken: dict[str, float]
+    acts: bool
 
     @property
     def effect(self) -> str:
@@ -114,19 +117,24 @@ class Card:
         both = zip(known, self.candidates, strict=True)
         return [direction for direction, candidate in both if candidate.visible or direction.clocked]
 
+    def acting(self, known: Sequence[Direction]) -> list[Direction]:
+        """Of the directions that the candidates are of, those that could show or be absorbed by what is fitted."""
+        both = zip(known, self.candidates, strict=True)
+        return [direction for direction, candidate in both if candidate.acts or direction.clocked]
+
 
 def card(simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[Direction] | None = None) -> Card:
     """What the recording behind `simulator` could show if the car is as theta says; `found` are all directions there,
     where they are known already."""
     at, found = sensitivity(simulator, theta), left_out(simulator, theta) if found is None else found
-    noise, valid = simulator.noise.of_sensor, simulator.windows.valid
-    std = noise.std(at.y)
+    noise, valid, changes = simulator.noise.of_sensor, simulator.windows.valid, slopes(simulator, theta, found)
 
-    def white(changes: np.ndarray) -> np.ndarray:
-        return noise.whiten(np.nan_to_num(changes), std, valid).reshape(len(changes), -1)
+    def white(changes: np.ndarray, noise: MeasurementNoise = noise) -> np.ndarray:
+        return noise.whiten(np.nan_to_num(changes), noise.std(at.y), valid).reshape(len(changes), -1)
 
     spread = np.concatenate([simulator.space.prior_std, np.ones(len(at.jacobian) - len(theta))])
-    J, g = white(at.jacobian * spread[:, None, None]), white(slopes(simulator, theta, found))
+    J, g = white(at.jacobian * spread[:, None, None]), white(changes)
+    most = np.linalg.norm(white(changes, noise.innovations), axis=1)
     moved = np.linalg.solve(J @ J.T + np.eye(len(J)), J @ g.T)  # (p, k), in the fitted parameters' spread
     cross = g @ g.T - g @ J.T @ moved
     raw, left = np.einsum("kt,kt->k", g, g), np.maximum(np.diag(cross), 0.0)
@@ -139,5 +147,6 @@ def card(simulator: Simulator, theta: Float[np.ndarray, " d"], found: Sequence[D
         p = direction.parameter
         shown = min(size[k], 0.5 * (p.high - p.low))
         absorbed, part = (dict(zip(names, of[: len(theta), k].tolist(), strict=True)) for of in (shown * moved, taken))
-        rows.append(Candidate(p, float(retained[k]), float(size[k]), absorbed, part))
+        acts = bool(most[k] * max(direction.high, -direction.low) >= SEEN)
+        rows.append(Candidate(p, float(retained[k]), float(size[k]), absorbed, part, acts))
     return Card(tuple(rows), coherence, names, cannot_act(simulator, theta, {d.effect for d in found}))

@@ -20,7 +20,9 @@ from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 
 WIDER = 1.5  # typical sizes by which effects are shrunk at first, before anything is known of which are there
-FIRST_STEPS = 6  # of Gauss-Newton from each of several starts, before the best goes on
+FIRST_STEPS = 6  # of Gauss-Newton from each start near the optimum, before the best goes on
+EASED = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)  # times the sensors' noise under which a far start is led to the optimum
+EASED_STEPS = 4  # of Gauss-Newton under each of them
 STEPS, NOISE_ROUNDS, NOISE_STEPS = 16, 2, 8  # of Gauss-Newton, of fit and noise, and of Gauss-Newton within those
 STIFFER = 1.4  # times the fitted stiffness, for which steps of the integrator are short enough
 STABLE = 2.0  # step times rate at most
@@ -77,6 +79,11 @@ class Expansion:
         return np.array([(null(p) <= p.low) * 1 - (null(p) >= p.high) * 1 for p in self.sizes], dtype=np.int64)
 
     @property
+    def reach(self) -> Float[np.ndarray, " sizes"]:
+        """How far sizes can be from their nulls within their boxes, in typical ones."""
+        return np.array([max(p.high - null(p), null(p) - p.low) for p in self.sizes]) / self.typical
+
+    @property
     def groups(self) -> list[int]:
         """How many neighbouring sizes are missing together: those of a profile over time, any other by itself."""
         of = [p.name.rstrip("0123456789") for p in self.sizes]
@@ -129,20 +136,48 @@ class Expansion:
         return relinearised(fit, fit.theta)
 
     def likeliest(
-        self, observation: Observation, starts: Sequence[Float[np.ndarray, " d"]], rms: Float[np.ndarray, " sizes"]
+        self,
+        observation: Observation,
+        rms: Float[np.ndarray, " sizes"],
+        *,
+        near: Sequence[Float[np.ndarray, " d"]] = (),
+        far: Sequence[Float[np.ndarray, " d"]] = (),
     ) -> Fit | None:
         """The likeliest point under shrinkage from several starts; None where the simulation fails at all of them.
 
-        After a few steps from each the best goes on, in the end with derivatives that are simulated after every step:
-        those that follow from steps often end in a valley, tens of units of log likelihood below its bottom.
+        Those that are `far` are led there under noise that falls to that of the sensors: what is small is fitted only
+        once what is large is, with no more off its null than that takes. Under the sensors' noise from the first step
+        on most of them end in optima that are hundreds of units of log likelihood lower. The best goes on, in the end
+        with derivatives that are simulated after every step: those that follow from steps often end in a valley, tens
+        of units below its bottom.
         """
-        fits = [fit for start in starts if (fit := self._descended(observation, start, rms, FIRST_STEPS)) is not None]
+        led = [*(((1.0,), FIRST_STEPS, start) for start in near), *((EASED, EASED_STEPS, start) for start in far)]
+        fits = [fit for way, steps, start in led if (fit := self._led(observation, start, rms, way, steps)) is not None]
         best = max(fits, key=_log_posterior, default=None)
         if best is None:
             return None
-        best = with_own_noise(onwards(best, STEPS, secant=True), NOISE_ROUNDS, NOISE_STEPS, secant=True)
+        best = replace(onwards(best, STEPS, secant=True), observation=observation)
+        best = with_own_noise(best, NOISE_ROUNDS, NOISE_STEPS, secant=True)
         best = with_own_noise(onwards(relinearised(best, best.theta), STEPS), NOISE_ROUNDS, NOISE_STEPS)
         return relinearised(best, best.theta)
+
+    def _led(
+        self,
+        observation: Observation,
+        start: Float[np.ndarray, " d"],
+        rms: Float[np.ndarray, " sizes"],
+        way: Sequence[float],
+        steps: int,
+    ) -> Fit | None:
+        """So many steps under white noise that is so many times the sensors', one after another."""
+        fit, noise = None, observation.simulator.noise.of_sensor
+        for factor in way:
+            white = replace(noise, floor=factor * noise.floor, rho=np.zeros_like(noise.rho))
+            fit = self._descended(observation.extended(observation.simulator.with_noise(white)), start, rms, steps)
+            if fit is None:
+                return None
+            start = fit.theta
+        return fit
 
     def _descended(
         self, observation: Observation, start: Float[np.ndarray, " d"], rms: Float[np.ndarray, " sizes"], steps: int
@@ -154,8 +189,7 @@ class Expansion:
 
 
 def _log_posterior(fit: Fit) -> float:
-    pulled = 0.0 if fit.shrinkage is None else fit.shrinkage.cost(fit.theta[None], fit.simulator.space.prior_std)[0]
-    return fit.log_likelihood - float(pulled)
+    return fit.log_likelihood - float(fit.pulled(fit.theta[None])[0])
 
 
 def _substeps(fit: Fit) -> Int[np.ndarray, " windows"]:

@@ -177,6 +177,22 @@ class Fit:
     def log_likelihood(self) -> float:
         return self.metric.log_likelihood(self.residual)
 
+    def pulled(self, theta: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
+        """What shrinkage costs at each theta."""
+        return (
+            np.zeros(len(theta))
+            if self.shrinkage is None
+            else self.shrinkage.cost(theta, self.simulator.space.prior_std)
+        )
+
+    def costs(
+        self, theta: Float[np.ndarray, "n d"], y: Float[np.ndarray, "n channels time"]
+    ) -> Float[np.ndarray, " n"]:
+        """Half the sum of squares that each theta and the series there leave, with what shrinkage costs; infinite where
+        the simulation failed."""
+        residual = np.where(self.simulator.windows.valid, self.observation.observed - y, 0.0)
+        return cost(self.metric, residual) + self.pulled(theta)
+
     @property
     def inside(self) -> Bool[np.ndarray, " d"]:
         """Which parameters lie inside their box rather than on its rim, so that they could still move either way."""
@@ -260,16 +276,10 @@ def relinearised(fit: Fit, theta: Float[np.ndarray, " d"]) -> Fit:
 def _stepped(fit: Fit) -> tuple[Float[np.ndarray, " d"], Series] | None:
     """The whole Gauss-Newton step, and only if that is too far a shorter one: theta and the series there; None where
     none of them gains enough."""
-    valid, pull, spread = fit.simulator.windows.valid, fit.shrinkage, fit.simulator.space.prior_std
-
-    def costs(theta: Float[np.ndarray, "n d"], y: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, " n"]:
-        pulled = 0.0 if pull is None else pull.cost(theta, spread)
-        return cost(fit.metric, np.where(valid, fit.observation.observed - y, 0.0)) + pulled
-
-    now = costs(fit.theta[None], fit.at.y[None])[0]
+    now = fit.costs(fit.theta[None], fit.at.y[None])[0]
     for points in np.split(_steps(fit), [1]):
         y = fit.simulator.noise_free(points)
-        there = costs(points, y)
+        there = fit.costs(points, y)
         best = int(np.argmin(there))
         if now - there[best] >= CONVERGED:
             return points[best], y[best]
@@ -290,7 +300,7 @@ def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS
     """
     if not fit.observation.estimated:
         return fit
-    sensor = sensor_noise(fit.observation.observed, fit.simulator.windows)
+    sensor = sensor_noise(fit.observation.observed, fit.simulator.windows, MEMORY_S)
     for _ in range(rounds):
         before = fit.simulator.noise
         noise = replace(from_residual(fit.unexplained, fit.simulator.windows, MEMORY_S), sensor=sensor)

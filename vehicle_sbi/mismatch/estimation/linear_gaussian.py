@@ -7,13 +7,16 @@ recordings add their products: parameters are the same there, discrepancies have
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from vehicle_sbi.inference.information import SEEN
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
+
+LEAST = 0.1  # typical sizes off its null, from which an effect's derivative is taken over the way back to it
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,31 @@ def linear_gaussian(
         b[where] += X @ r
         at += len(X) - first
     return LinearGaussian(H, b, first + np.cumsum(widths, dtype=np.int64))
+
+
+def to_nulls(expansion: Expansion, fit: Fit) -> Fit:
+    """The fit with derivatives by sizes that are away from their nulls taken over all of the way back, in a simulation
+    each: whether an effect is missing is asked about that step, and near the fit it may change more or less than that.
+    """
+    simulator, own = fit.simulator, len(expansion.base)
+    rest, size = expansion.rest, slice(own, own + len(expansion.sizes))
+    away = own + np.flatnonzero(np.abs(fit.theta - rest)[size] > LEAST * expansion.typical)
+    points = np.where(np.arange(len(rest)) == away[:, None], rest, fit.theta)
+    y, J, valid = simulator.noise_free(points), fit.at.J.copy(), simulator.windows.valid
+    for k, back in zip(away.tolist(), y, strict=True):
+        chord = np.where(valid, fit.at.y - back, 0.0) / (fit.theta[k] - rest[k]) * simulator.space.prior_std[k]
+        J[k] = chord if np.isfinite(chord).all() else J[k]
+    return replace(fit, at=replace(fit.at, J=J))
+
+
+def showing(expansion: Expansion, problem: LinearGaussian) -> Bool[np.ndarray, " sizes"]:
+    """Which sizes, as large as their boxes allow, change more than base parameters take over by what is seen."""
+    own, stop = len(expansion.base), len(expansion.unit)
+    sizes = slice(stop - len(expansion.sizes), stop)
+    both = problem.H[:own, sizes]
+    taken = np.sum(both * np.linalg.solve(problem.H[:own, :own] + np.eye(own), both), axis=0)
+    left = np.sqrt(np.maximum(np.diag(problem.H)[sizes] - taken, 0.0))
+    return left * expansion.reach >= SEEN
 
 
 def order(expansion: Expansion) -> np.ndarray:

@@ -17,8 +17,8 @@ from vehicle_sbi.inference.directions import Direction, middle
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
-from vehicle_sbi.mismatch.estimation.fit import SHARES, Fit
-from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order
+from vehicle_sbi.mismatch.estimation.fit import SHARES, Fit, Shrinkage
+from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order, showing, to_nulls
 from vehicle_sbi.mismatch.hypotheses.dictionary import believed
 from vehicle_sbi.mismatch.hypotheses.discrepancy import (
     Discrepancy,
@@ -55,21 +55,23 @@ BUDGET = Budget()
 class Pruned:
     """Draws from the posterior over the expanded model: `theta` (n, d) in the parameters' units, `included` (n, sizes)
     says which sizes are away from their nulls, `discrepant` (n, groups) which discrepancies are there, `beyond` (d,)
-    which share of draws lay beyond each parameter's box before they were folded back."""
+    which share of draws lay beyond each parameter's box before they were folded back. `shows` (sizes) says which sizes
+    would be seen beside the base parameters; others are not named, and only widen what is said of those."""
 
     expansion: Expansion
     theta: Float[np.ndarray, "n d"]
     included: Bool[np.ndarray, "n sizes"]
     discrepant: Bool[np.ndarray, "n groups"]
     beyond: Float[np.ndarray, " d"]
+    shows: Bool[np.ndarray, " sizes"]
     fit: Fit
     remainders: list[Remainder]
 
     @cached_property
     def missing(self) -> dict[str, Bool[np.ndarray, " n"]]:
-        """In which draws each effect is away from its null."""
+        """In which draws each effect that shows is away from its null."""
         of = np.array([p.name.split(".")[0] for p in self.expansion.sizes])
-        return {name: np.any(self.included[:, of == name], axis=1) for name in dict.fromkeys(of.tolist())}
+        return {name: np.any(self.included[:, of == name], axis=1) for name in dict.fromkeys(of[self.shows].tolist())}
 
     @property
     def effects(self) -> dict[str, float]:
@@ -119,15 +121,14 @@ class _Round:
         return cls(expansion, start, np.full(len(expansion.sizes), WIDER), expansion.observed(base))
 
     def first_fit(self, sleeping: Sequence[Parameter]) -> Fit | None:
-        """From effects at their nulls, with those that change nothing near it halfway into their boxes, and with all
-        as large as is expected of a car: beside the base model's parameters as they were fitted and, as these have
-        absorbed what is missing, beside the middle of their boxes."""
-        expected, base = self.expansion.expected, len(self.expansion.base)
-        starts = [self.start, np.concatenate([self.start[:base], expected[base:]]), expected]
+        """From effects at their nulls, beside the base model's parameters as they were fitted and, as these have
+        absorbed what is missing, beside the middle of their boxes; from effects as large as is expected of a car; and
+        with those that change nothing near their nulls halfway into their boxes."""
+        far = [self.start, self.expansion.rest, self.expansion.expected]
         if awake := {p.name: middle(p) for p in sleeping}:
             names = self.expansion.space.names
-            starts.append(np.array([awake.get(name, x) for name, x in zip(names, self.start, strict=True)]))
-        return self.expansion.likeliest(self.observation, starts, self.rms)
+            far.append(np.array([awake.get(name, x) for name, x in zip(names, self.start, strict=True)]))
+        return self.expansion.likeliest(self.observation, self.rms, far=far)
 
     def fitted(self) -> Fit | None:
         return self.expansion.fitted(self.observation, self.start, self.rms)
@@ -163,10 +164,11 @@ def expand_and_prune(
         fits = [fit, *_further(fit, naming)]
         tried = tried or [responses(one) for one in fits]
         off = [discrepancies(one, them) for one, them in zip(fits, tried, strict=False)]
-        problem = linear_gaussian(now.expansion, [*zip(fits, map(_columns, off), strict=False)])
+        chords = [to_nulls(now.expansion, one) for one in fits]
+        problem = linear_gaussian(now.expansion, [*zip(chords, map(_columns, off), strict=False)])
         groups, last = groups_of(now.expansion, problem, prior), k >= budget.rounds - budget.pooled
         drawn = sample(problem.H, problem.b, groups, shared, budget.last if last else budget.first, rng)
-        found += [_pruned(now.expansion, fit, off[0], drawn)] if last else []
+        found += [_pruned(now.expansion, fit, off[0], drawn, showing(now.expansion, problem))] if last else []
         now = _again(now, fit, off[0], drawn)
         if k == 0:
             spans = likeliest_spans(fit, known)
@@ -218,14 +220,16 @@ def folded(
     return np.clip(mirrored, low, high)
 
 
-def _pruned(expansion: Expansion, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -> Pruned:
+def _pruned(
+    expansion: Expansion, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled, shows: Bool[np.ndarray, " sizes"]
+) -> Pruned:
     named = len(expansion.groups)
     included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
     discrepant, first = drawn.included[:, named:], len(expansion.unit)
     left = remainders(fit, here, drawn.coefficient[:, first:], discrepant)
     theta, space = _theta(expansion, drawn.coefficient), expansion.space
     beyond = ((theta < space.low) | (theta > space.high)).mean(axis=0)
-    return Pruned(expansion, folded(theta, space.low, space.high), included, discrepant, beyond, fit, left)
+    return Pruned(expansion, folded(theta, space.low, space.high), included, discrepant, beyond, shows, fit, left)
 
 
 def _again(now: _Round, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -> _Round:
@@ -237,16 +241,16 @@ def _again(now: _Round, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -
     for one, (c,) in zip(here, parts(mean[:, first:], here), strict=True):
         series += np.tensordot(c, one.series, axes=1)
     observed = np.where(fit.simulator.windows.valid, fit.observation.observed - series, 0.0)
-    space = expansion.space
-    start = _simulated(fit, np.clip(_theta(expansion, mean)[0], space.low, space.high))
-    return _Round(expansion, start, rms, replace(fit.observation, observed=observed))
+    observation, space = replace(fit.observation, observed=observed), expansion.space
+    shrunk = replace(fit, observation=observation, shrinkage=Shrinkage(expansion.rest, expansion.precision(rms)))
+    start = _likeliest_before(shrunk, np.clip(_theta(expansion, mean)[0], space.low, space.high))
+    return _Round(expansion, start, rms, observation)
 
 
-def _simulated(fit: Fit, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
-    """As far on the way from a fit to theta as the car can be simulated: at first order it does not spin."""
+def _likeliest_before(fit: Fit, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+    """The likeliest of some points on the way from a fit to theta, which first order promises more of than is true."""
     points = fit.theta + np.array([*SHARES, 0.0])[:, None] * (theta - fit.theta)
-    y = fit.simulator.noise_free(points)[:, fit.simulator.windows.valid]
-    return points[int(np.argmax(np.isfinite(y).all(axis=1)))]
+    return points[int(np.argmin(fit.costs(points, fit.simulator.noise_free(points))))]
 
 
 def _pooled(found: Sequence[Pruned]) -> Pruned:

@@ -43,7 +43,8 @@ def with_effects(base: Fit, pruned: Pruned, effects: Collection[str]) -> Model |
     expansion = pruned.expansion.only(_sizes(pruned, effects))
     simulator = replace(base.simulator, substeps=pruned.fit.simulator.substeps)
     observation = base.observation.extended(simulator).freeing(expansion.space.parameters)
-    fit = expansion.likeliest(observation, [*_starts(base, pruned, expansion)], np.full(len(expansion.sizes), WIDER))
+    *near, null = _starts(base, pruned, expansion)
+    fit = expansion.likeliest(observation, np.full(len(expansion.sizes), WIDER), near=near, far=[null])
     return None if fit is None else Model(tuple(sorted(effects)), fit, base.simulator.space.names)
 
 
