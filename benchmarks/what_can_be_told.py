@@ -60,7 +60,7 @@ def exact(given: Problem, theta: Float[np.ndarray, " d"], rng: np.random.Generat
     """The problem of recordings that the linear model makes of these parameters."""
     H, expansion = given.linear.H, given.pruned.expansion
     c = np.zeros(len(H))
-    c[: len(theta)] = ((theta - expansion.rest) / expansion.unit)[order(expansion)]
+    c[: len(theta)] = expansion.coefficients(theta)[order(expansion)]
     size, axes = np.linalg.eigh(H)
     noise = axes @ (np.sqrt(np.maximum(size, 0.0)) * rng.standard_normal(len(H)))
     return replace(given, linear=replace(given.linear, b=H @ c + noise))
@@ -70,8 +70,8 @@ def judged(case: Path, truth: Mapping[str, Any], given: Problem) -> Scored:
     """What the selection says of a problem, scored as a diagnosis is."""
     drawn = selected(given)
     expansion = given.pruned.expansion
-    columns = np.argsort(order(expansion))[: len(expansion.base)]
-    theta = expansion.rest[: len(columns)] + expansion.unit[: len(columns)] * drawn.coefficient[:, columns]
+    c = drawn.coefficient[:, np.argsort(order(expansion))]
+    theta = expansion.theta(c)[:, : len(expansion.base)]
     said = {
         p.name: {"mean": x.mean(), "std": x.std(), "q05": np.quantile(x, 0.05), "q95": np.quantile(x, 0.95)}
         for p, x in zip(expansion.base, theta.T, strict=True)

@@ -77,13 +77,13 @@ def test_what_the_linear_model_says_of_an_effect_that_is_missing_is_exact_where_
     expansion, fit = expanded
     steady, own = to_nulls(expansion, fit), len(expansion.base)
     valid, moved = fit.simulator.windows.valid, 0
+    c, per_std = expansion.coefficients(fit.theta), expansion.slope(fit.theta) / fit.simulator.space.prior_std
     for k, p in enumerate(expansion.sizes, start=own):
-        back = fit.theta.copy()
-        back[k] = null(p)
-        if abs(fit.theta[k] - back[k]) <= 0.1 * expansion.typical[k - own]:
+        if abs(c[k]) <= 0.1:
             np.testing.assert_array_equal(steady.at.J[k], fit.at.J[k])
             continue
-        step = (back[k] - fit.theta[k]) / fit.simulator.space.prior_std[k]
+        back, step = fit.theta.copy(), -c[k] * per_std[k]
+        back[k] = null(p)
         simulated = fit.simulator.noise_free(back[None])[0]
         np.testing.assert_allclose((fit.at.y + step * steady.at.J[k])[valid], simulated[valid], atol=1e-9)
         moved += 1
@@ -110,8 +110,8 @@ def test_columns_and_residual_are_those_of_the_fit(expanded: tuple[Expansion, Fi
     # At the fit's own coefficients c the linear model leaves over what the fit does: b - H c = X r.
     expansion, fit = expanded
     problem = linear_gaussian(expansion, [(fit, [])])
-    c = ((fit.theta - expansion.rest) / expansion.unit)[order(expansion)]
-    J = fit.metric(fit.at.J).reshape(len(fit.theta), -1) * (expansion.unit / fit.simulator.space.prior_std)[:, None]
+    c, slope = expansion.coefficients(fit.theta)[order(expansion)], expansion.slope(fit.theta)
+    J = fit.metric(fit.at.J).reshape(len(fit.theta), -1) * (slope / fit.simulator.space.prior_std)[:, None]
     r = fit.metric(fit.residual).reshape(-1)
     scale = np.sqrt(np.diag(problem.H)) * np.linalg.norm(r) + 1e-9
     assert (problem.b - problem.H @ c) / scale == pytest.approx((J @ r)[order(expansion)] / scale, abs=1e-9)

@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from vehicle_sbi.inference.directions import Direction, null
 from vehicle_sbi.inference.effect_prior import EffectPrior
@@ -25,6 +25,7 @@ EASED = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)  # times the sensors' noise under which
 EASED_STEPS = 4  # of Gauss-Newton under each of them
 STEPS, NOISE_ROUNDS, NOISE_STEPS = 16, 2, 8  # of Gauss-Newton, of fit and noise, and of Gauss-Newton within those
 STIFFER = 1.4  # times the fitted stiffness, for which steps of the integrator are short enough
+FARTHEST = 20.0  # logarithm of a ratio at most, against overflow
 STABLE = 2.0  # step times rate at most
 
 
@@ -64,7 +65,7 @@ class Expansion:
 
     @property
     def unit(self) -> Float[np.ndarray, " d"]:
-        """What a coefficient of 1 is: a standard deviation of the box, of sizes the typical distance from null."""
+        """What a coefficient of 1 is near `rest`: a standard deviation of the box, of sizes the typical distance from null."""
         return np.concatenate([_spread(self.base), self.typical, _spread(self.shapes)])
 
     @property
@@ -79,9 +80,32 @@ class Expansion:
         return np.array([(null(p) <= p.low) * 1 - (null(p) >= p.high) * 1 for p in self.sizes], dtype=np.int64)
 
     @property
+    def ratio(self) -> Bool[np.ndarray, " d"]:
+        """Which parameters can only be positive: stiffnesses, factors and gains, of which products act. In logarithms a
+        model is as linear in several of them as in one."""
+        return self.space.low > 0.0
+
+    def coefficients(self, theta: Float[np.ndarray, "*n d"]) -> Float[np.ndarray, "*n d"]:
+        """Where theta is in units of what is believed, from `rest` on; logarithms of what can only be positive."""
+        one = np.where(self.ratio, self.rest, 1.0)
+        step = np.where(self.ratio, one * np.log(np.where(self.ratio, theta / one, 1.0)), theta - self.rest)
+        return step / self.unit
+
+    def theta(self, coefficients: Float[np.ndarray, "*n d"]) -> Float[np.ndarray, "*n d"]:
+        """Parameters that have such coefficients, which may lie beyond their boxes: the linear model has none."""
+        one, step = np.where(self.ratio, self.rest, 1.0), self.unit * coefficients
+        grown = one * np.exp(np.clip(step / one, -FARTHEST, FARTHEST))
+        return np.where(self.ratio, grown, self.rest + step)
+
+    def slope(self, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+        """By how much parameters grow with their coefficients."""
+        return self.unit * np.where(self.ratio, theta / np.where(self.ratio, self.rest, 1.0), 1.0)
+
+    @property
     def reach(self) -> Float[np.ndarray, " sizes"]:
-        """How far sizes can be from their nulls within their boxes, in typical ones."""
-        return np.array([max(p.high - null(p), null(p) - p.low) for p in self.sizes]) / self.typical
+        """How far sizes can be from their nulls within their boxes, in coefficients."""
+        sizes = slice(len(self.base), len(self.base) + len(self.sizes))
+        return np.max([np.abs(self.coefficients(end)[sizes]) for end in (self.space.low, self.space.high)], axis=0)
 
     @property
     def groups(self) -> list[int]:

@@ -16,7 +16,7 @@ from vehicle_sbi.inference.information import SEEN
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 
-LEAST = 0.1  # typical sizes off its null, from which an effect's derivative is taken over the way back to it
+LEAST = 0.1  # coefficient of a size, from which an effect's derivative is taken over the way back to it
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ def to_nulls(expansion: Expansion, fit: Fit) -> Fit:
     """The fit with derivatives by sizes that are away from their nulls taken over all of the way back, in a simulation
     each: whether an effect is missing is asked about that step, and near the fit it may change more or less than that.
     """
-    simulator, own = fit.simulator, len(expansion.base)
-    rest, size = expansion.rest, slice(own, own + len(expansion.sizes))
-    away = own + np.flatnonzero(np.abs(fit.theta - rest)[size] > LEAST * expansion.typical)
-    points = np.where(np.arange(len(rest)) == away[:, None], rest, fit.theta)
+    simulator, own, c = fit.simulator, len(expansion.base), expansion.coefficients(fit.theta)
+    away = own + np.flatnonzero(np.abs(c[own : own + len(expansion.sizes)]) > LEAST)
+    points = np.where(np.arange(len(c)) == away[:, None], expansion.rest, fit.theta)
     y, J, valid = simulator.noise_free(points), fit.at.J.copy(), simulator.windows.valid
+    per_coefficient = simulator.space.prior_std / expansion.slope(fit.theta)
     for k, back in zip(away.tolist(), y, strict=True):
-        chord = np.where(valid, fit.at.y - back, 0.0) / (fit.theta[k] - rest[k]) * simulator.space.prior_std[k]
+        chord = np.where(valid, fit.at.y - back, 0.0) / c[k] * per_coefficient[k]
         J[k] = chord if np.isfinite(chord).all() else J[k]
     return replace(fit, at=replace(fit.at, J=J))
 
@@ -83,6 +83,6 @@ def order(expansion: Expansion) -> np.ndarray:
 def _columns(expansion: Expansion, fit: Fit) -> tuple[Float[np.ndarray, "d samples"], Float[np.ndarray, " samples"]]:
     """What parameters do per unit of their coefficients, and the residual from where all coefficients are zero."""
     per_std = fit.metric(fit.at.J).reshape(len(fit.theta), -1)
-    X = per_std * (expansion.unit / fit.simulator.space.prior_std)[:, None]
-    r = fit.metric(fit.residual).reshape(-1) + ((fit.theta - expansion.rest) / expansion.unit) @ X
+    X = per_std * (expansion.slope(fit.theta) / fit.simulator.space.prior_std)[:, None]
+    r = fit.metric(fit.residual).reshape(-1) + expansion.coefficients(fit.theta) @ X
     return X[order(expansion)], r

@@ -205,10 +205,10 @@ def groups_of(expansion: Expansion, problem: LinearGaussian, prior: EffectPrior)
 
 
 def _theta(expansion: Expansion, coefficient: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n d"]:
-    """Coefficients as parameters, which may lie beyond their boxes: the linear model has none."""
-    theta = np.empty((len(coefficient), len(expansion.unit)))
-    theta[:, order(expansion)] = coefficient[:, : theta.shape[1]]
-    return expansion.rest + expansion.unit * theta
+    """Coefficients, in the order of the columns, as parameters, which may lie beyond their boxes."""
+    c = np.empty((len(coefficient), len(expansion.unit)))
+    c[:, order(expansion)] = coefficient[:, : c.shape[1]]
+    return expansion.theta(c)
 
 
 def folded(
