@@ -10,7 +10,7 @@ from test_effect_prior import stated
 from vehicle_sbi.inference.directions import left_out, null
 from vehicle_sbi.inference.information import SEEN
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
-from vehicle_sbi.mismatch.estimation.fit import Fit, relinearised
+from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order, showing, to_nulls
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, discrepancies, responses
 from vehicle_sbi.mismatch.selection.expand_and_prune import (
@@ -106,6 +106,22 @@ def test_a_size_shows_by_what_base_parameters_leave_of_it(expanded: tuple[Expans
         assert showing(roll, LinearGaussian(H, np.zeros(columns), np.zeros(0, dtype=int))).tolist() == [expected]
 
 
+def test_coefficients_say_where_parameters_are(expanded: tuple[Expansion, Fit]) -> None:
+    expansion, fit = expanded
+    rng, space = np.random.default_rng(4), expansion.space
+    theta = rng.uniform(space.low, space.high, (20, len(space)))
+    np.testing.assert_allclose(expansion.theta(expansion.coefficients(theta)), theta, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(expansion.coefficients(expansion.rest), 0.0, atol=1e-12)
+    c, h = expansion.coefficients(fit.theta), 1e-6
+    numeric = (expansion.theta(c + h) - expansion.theta(c - h)) / (2.0 * h)
+    np.testing.assert_allclose(numeric, expansion.slope(fit.theta), rtol=1e-6)
+    # Twice a stiffness is as far from it as half of it.
+    level = space.column("stiffness_level.front")
+    twice, half = (np.where(np.arange(len(space)) == level, x, expansion.rest) for x in (2.0, 0.5))
+    both = expansion.coefficients(np.stack([twice, half]))[:, level]
+    assert both[0] == pytest.approx(-both[1])
+
+
 def test_columns_and_residual_are_those_of_the_fit(expanded: tuple[Expansion, Fit]) -> None:
     # At the fit's own coefficients c the linear model leaves over what the fit does: b - H c = X r.
     expansion, fit = expanded
@@ -173,8 +189,11 @@ def test_a_next_start_is_the_likeliest_on_the_way_that_the_car_can_be_simulated_
     expanded: tuple[Expansion, Fit],
 ) -> None:
     expansion, fit = expanded
-    aside = relinearised(fit, fit.theta + 0.02 * (expansion.rest - fit.theta))
-    assert _likeliest_before(aside, fit.theta) == pytest.approx(fit.theta)  # which is where it is likeliest
+    for theta in (fit.theta + 0.02 * (expansion.rest - fit.theta), expansion.rest):
+        start = _likeliest_before(fit, theta)
+        points = fit.theta + np.array([0.0, 0.01, 0.1, 0.25, 0.5, 1.0])[:, None] * (theta - fit.theta)
+        cost = fit.costs(np.concatenate([start[None], points]), fit.simulator.noise_free(np.stack([start, *points])))
+        assert cost[0] == cost.min()
     spun = fit.theta.copy()  # the rear axle cannot hold a car whose mass lies there
     for name, value in {"l_f": 2.4, "delta_C_alpha_r": -0.9}.items():
         spun[expansion.space.column(name)] = value

@@ -159,3 +159,18 @@ def test_secants_end_at_the_optimum_that_differences_find() -> None:
     assert by_differences is not None
     assert by_secants is not None
     assert by_secants.log_likelihood == pytest.approx(by_differences.log_likelihood, abs=4 * CONVERGED)
+
+
+def test_a_stiffness_and_a_factor_on_it_have_the_same_derivative() -> None:
+    # Of tyres without a carcass only the product (C + 1e5 delta) k acts: per logarithm they change the same.
+    sim, level = lateral(), EFFECT_PARAMETERS["stiffness_level.front"]
+    stiff = sim.nominal.copy()
+    stiff["K"] = np.inf
+    sim = replace(sim, nominal=stiff, space=ParameterSpace((*sim.space.parameters, level)))
+    names, theta = sim.space.names, np.array([*TRUTH, 0.9])  # one steps down, the other up
+    at = linearise(sim, theta)
+    own, factor = names.index("delta_C_alpha_f"), names.index(level.name)
+    spread = sim.space.prior_std
+    stiffness = float(sim.nominal["C_alpha_f"]) / 1e5 + theta[own]
+    change = stiffness * at.J[own] / spread[own], theta[factor] * at.J[factor] / spread[factor]
+    assert np.linalg.norm(change[0] - change[1]) < 1e-4 * np.linalg.norm(change[0])

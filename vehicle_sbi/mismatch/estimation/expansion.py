@@ -65,7 +65,7 @@ class Expansion:
 
     @property
     def unit(self) -> Float[np.ndarray, " d"]:
-        """What a coefficient of 1 is near `rest`: a standard deviation of the box, of sizes the typical distance from null."""
+        """What a coefficient of 1 is near `rest`: a standard deviation of the box, of sizes their typical distance."""
         return np.concatenate([_spread(self.base), self.typical, _spread(self.shapes)])
 
     @property
@@ -81,9 +81,9 @@ class Expansion:
 
     @property
     def ratio(self) -> Bool[np.ndarray, " d"]:
-        """Which parameters can only be positive: stiffnesses, factors and gains, of which products act. In logarithms a
-        model is as linear in several of them as in one."""
-        return self.space.low > 0.0
+        """Which base parameters and sizes can only be positive: stiffnesses, factors and gains, of which products act.
+        In logarithms a model is as linear in several of them as in one."""
+        return (self.space.low > 0.0) & (np.arange(len(self.space)) < len(self.base) + len(self.sizes))
 
     def coefficients(self, theta: Float[np.ndarray, "*n d"]) -> Float[np.ndarray, "*n d"]:
         """Where theta is in units of what is believed, from `rest` on; logarithms of what can only be positive."""
