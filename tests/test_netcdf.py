@@ -74,7 +74,8 @@ def run_file(
 
 @pytest.fixture(scope="module")
 def pruned() -> Pruned:
-    """Draws of a base model beside a delay, a wind with its arm and what no effect stands for, each in some of them."""
+    """Draws of a base model beside a delay, a wind with its arm that does not show, and what no effect stands for, each
+    in some of them."""
     base = fitted(recorded(lateral()))
     sizes = tuple(EFFECT_PARAMETERS[name] for name in ("steering_delay.time", "crosswind.force"))
     shapes = (EFFECT_PARAMETERS["crosswind.arm"],)
@@ -83,7 +84,7 @@ def pruned() -> Pruned:
     fit = replace(base, observation=replace(base.observation, simulator=sim))
     rng, inside = np.random.default_rng(1), np.zeros(len(expansion.space))
     included, discrepant = rng.random((N, 2)) < 0.5, rng.random((N, 3)) < 0.2
-    return Pruned(expansion, uniform(expansion.space), included, discrepant, inside, np.ones(2, dtype=bool), fit, [])
+    return Pruned(expansion, uniform(expansion.space), included, discrepant, inside, np.array([True, False]), fit, [])
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +153,7 @@ def test_draws_of_a_diagnosis_stay_joint(pruned: Pruned, diagnosis_file: Path) -
         variable = tree["posterior"].to_dataset()[p.name]
         np.testing.assert_array_equal(variable.values[0], pruned.theta[:, k])
         assert variable.attrs["units"] == p.unit
-        there = np.ones(N, dtype=bool) if p in pruned.expansion.base else pruned.missing[p.name.split(".")[0]]
+        there = np.ones(N, dtype=bool) if p in pruned.expansion.base else pruned.away(p.name.split(".")[0])
         np.testing.assert_array_equal(frame[p.name], np.where(there, pruned.theta[:, k], np.nan))
 
 
@@ -161,7 +162,8 @@ def test_inclusion_probabilities_are_shares_of_draws(pruned: Pruned, diagnosis_f
     stats = tree["sample_stats"].to_dataset()
     np.testing.assert_array_equal(stats["unexplained"].values[0], pruned.unexplained)
     by_effect = stats["included"].groupby("effect").any().mean(("chain", "draw"))
-    for effect, probability in pruned.effects.items():
+    assert [*pruned.effects] == ["steering_delay"]
+    for effect, probability in (pruned.effects | {"crosswind": float(pruned.away("crosswind").mean())}).items():
         assert float(by_effect.sel(effect=effect)) == probability
         for p in CATALOGUE[effect].parameters:
             if p.name in tree["posterior"].data_vars:

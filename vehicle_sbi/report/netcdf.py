@@ -191,14 +191,14 @@ def _of_effect(pruned: "Pruned", p: Parameter) -> dict[str, Any]:
     return {
         "role": "size" if p in pruned.expansion.sizes else "shape",
         "inclusion_probability": float(_included(pruned, p).mean()),
-        "effect_probability": pruned.effects[p.name.split(".")[0]],
+        "effect_probability": float(pruned.away(p.name.split(".")[0]).mean()),
     }
 
 
 def _included(pruned: "Pruned", p: Parameter) -> np.ndarray:
     """In which draws a size is away from its null; of what only shapes an effect, in which that is missing."""
     sizes = [size.name for size in pruned.expansion.sizes]
-    return pruned.included[:, sizes.index(p.name)] if p.name in sizes else pruned.missing[p.name.split(".")[0]]
+    return pruned.included[:, sizes.index(p.name)] if p.name in sizes else pruned.away(p.name.split(".")[0])
 
 
 def _present(pruned: "Pruned") -> "xr.Dataset":

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from vehicle_sbi.data.noise import from_residual
 from vehicle_sbi.inference.directions import null
-from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
+from vehicle_sbi.mismatch.estimation.fit import MEMORY_S, Fit, linearise
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE
@@ -24,6 +25,17 @@ def elsewhere(fit: Fit, observation: Observation, *, apart: bool) -> Fit:
     simulator = replace(simulator, space=space, noise=noise)
     at = linearise(simulator, theta)
     return Fit(observation.extended(simulator), theta, replace(at, J=np.where(absent[:, None, None], 0.0, at.J)))
+
+
+def under_own_noise(fit: Fit) -> Fit:
+    """The fit with the noise that it leaves over there, where that is more than what it leaves over where it was fitted.
+
+    A linear model would make parameters answer for what is wrong with the fit in recordings that it has never seen.
+    """
+    noise, left = fit.simulator.noise, from_residual(fit.unexplained, fit.simulator.windows, MEMORY_S)
+    more = left.floor > noise.floor
+    noise = replace(noise, floor=np.maximum(left.floor, noise.floor), rho=np.where(more, left.rho, noise.rho))
+    return replace(fit, observation=fit.observation.extended(fit.simulator.with_noise(noise)))
 
 
 def _timed(p: Parameter) -> bool:

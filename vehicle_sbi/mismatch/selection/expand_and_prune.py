@@ -6,6 +6,7 @@ effect that is out is held to its null, the discrepancy that was found is taken 
 last rounds are pooled, since none of their linear models is the right one.
 """
 
+import itertools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from vehicle_sbi.inference.directions import Direction, middle
 from vehicle_sbi.inference.effect_prior import EffectPrior
-from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
+from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere, under_own_noise
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import SHARES, Fit, Shrinkage
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order, showing, to_nulls
@@ -67,11 +68,16 @@ class Pruned:
     fit: Fit
     remainders: list[Remainder]
 
+    def away(self, effect: str) -> Bool[np.ndarray, " n"]:
+        """In which draws an effect, whether it shows or not, is away from its null."""
+        own = np.array([p.name.split(".")[0] == effect for p in self.expansion.sizes], dtype=bool)
+        return np.any(self.included[:, own], axis=1)
+
     @cached_property
     def missing(self) -> dict[str, Bool[np.ndarray, " n"]]:
         """In which draws each effect that shows is away from its null."""
-        of = np.array([p.name.split(".")[0] for p in self.expansion.sizes])
-        return {name: np.any(self.included[:, of == name], axis=1) for name in dict.fromkeys(of[self.shows].tolist())}
+        showing = itertools.compress(self.expansion.sizes, self.shows)
+        return {effect: self.away(effect) for effect in dict.fromkeys(p.name.split(".")[0] for p in showing)}
 
     @property
     def effects(self) -> dict[str, float]:
@@ -194,7 +200,7 @@ def _columns(here: Sequence[Discrepancy]) -> list[Float[np.ndarray, "q samples"]
 def _further(fit: Fit, naming: Observation | None) -> list[Fit]:
     """The fit in recordings that help to name, if there are any and it can be simulated there."""
     there = [] if naming is None else [elsewhere(fit, naming, apart=True)]
-    return [one for one in there if np.isfinite(one.at.y[one.simulator.windows.valid]).all()]
+    return [under_own_noise(one) for one in there if np.isfinite(one.at.y[one.simulator.windows.valid]).all()]
 
 
 def groups_of(expansion: Expansion, problem: LinearGaussian, prior: EffectPrior) -> Groups:
