@@ -30,7 +30,7 @@ from whole_car.scores import NAMED, STRONG, standing
 
 from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.effect_prior import EffectPrior
-from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian
+from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, to_nulls
 from vehicle_sbi.mismatch.hypotheses.discrepancy import discrepancies, responses
 from vehicle_sbi.mismatch.pipeline import AtOnce
 from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned, groups_of
@@ -79,7 +79,8 @@ def problem(path: Path, prior: EffectPrior) -> Problem | None:
     if pruned is None:
         return None
     here = discrepancies(pruned.fit, responses(pruned.fit))
-    return Problem(pruned, linear_gaussian(pruned.expansion, [(pruned.fit, [d.whitened for d in here])]), prior)
+    about = to_nulls(pruned.expansion, pruned.fit)
+    return Problem(pruned, linear_gaussian(pruned.expansion, [(about, [d.whitened for d in here])]), prior)
 
 
 def selected(given: Problem, *, discrepancy: float | None = None) -> Sampled:

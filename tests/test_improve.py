@@ -8,7 +8,7 @@ from recorded import fitted, lateral, recorded
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
+from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere, under_own_noise
 from vehicle_sbi.mismatch.estimation.fit import descend
 from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.problem.observation import Observation
@@ -120,6 +120,23 @@ def test_what_is_masked_is_no_block_and_a_score_is_the_density_of_what_is_not(mo
     exact = gone.log_likelihood + 0.5 * b @ np.linalg.solve(A, b) - 0.5 * np.linalg.slogdet(A)[1]
     constant = 0.5 * np.log(2.0 * np.pi) * sum(there.samples.values())
     assert there.log_score.sum() == pytest.approx(exact - constant, rel=1e-9)
+
+
+def test_what_a_fit_leaves_over_where_it_was_not_fitted_is_noise_there() -> None:
+    # A second drive with the same car is as noisy as the first; one with another steering ratio leaves much more over,
+    # and counts as so much noisier that its residual is of unit variance. Both to four standard deviations of that.
+    fit, n = fitted(recorded(lateral())), 500
+    bound = 4.0 * np.sqrt(2.0 / n)
+    like, unlike = (
+        elsewhere(fit, recorded(lateral(), seed=9, **e), apart=True) for e in ({}, {"steering_ratio__gain": 1.2})
+    )
+    floor = fit.simulator.noise.floor
+    same = under_own_noise(like).simulator.noise.floor
+    assert np.all((floor <= same) & (same < (1.0 + bound) * floor))
+    before, after = (np.mean(one.metric(one.residual) ** 2, axis=1) for one in (unlike, under_own_noise(unlike)))
+    assert before.max() > 5.0
+    assert np.all(np.abs(after[before > 5.0] - 1.0) < bound)
+    np.testing.assert_array_equal(under_own_noise(unlike).theta, fit.theta)
 
 
 def test_what_cannot_be_simulated_is_not_predicted() -> None:

@@ -28,7 +28,7 @@ def elsewhere(fit: Fit, observation: Observation, *, apart: bool) -> Fit:
 
 
 def under_own_noise(fit: Fit) -> Fit:
-    """The fit with the noise that it leaves over there, where that is more than what it leaves over where it was fitted.
+    """The fit with the noise that it leaves over there, where that is more than it does where it was fitted.
 
     A linear model would make parameters answer for what is wrong with the fit in recordings that it has never seen.
     """

@@ -16,6 +16,7 @@ from vehicle_sbi.inference.information import SEEN
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 
+PLAIN = 8.0  # signal-to-noise ratio of what is plain to see
 LEAST = 0.1  # coefficient of a size, from which an effect's derivative is taken over the way back to it
 
 
@@ -49,17 +50,23 @@ def linear_gaussian(
 
 
 def to_nulls(expansion: Expansion, fit: Fit) -> Fit:
-    """The fit with derivatives by sizes that are away from their nulls taken over all of the way back, in a simulation
-    each: whether an effect is missing is asked about that step, and near the fit it may change more or less than that.
+    """The fit with derivatives by some sizes taken over all of the way back to their nulls, in a simulation each.
+
+    Whether an effect is missing is asked about that step, which may change far less than its slope at the fit says: a
+    friction of half the stated one is steep where tyres slide, and flat before. Where the step is plain to see beside
+    the base parameters, the effect is there in any case, and its slope at the fit says how large it is.
     """
     simulator, own, c = fit.simulator, len(expansion.base), expansion.coefficients(fit.theta)
     away = own + np.flatnonzero(np.abs(c[own : own + len(expansion.sizes)]) > LEAST)
     points = np.where(np.arange(len(c)) == away[:, None], expansion.rest, fit.theta)
-    y, J, valid = simulator.noise_free(points), fit.at.J.copy(), simulator.windows.valid
+    steps = np.where(simulator.windows.valid, fit.at.y - simulator.noise_free(points), 0.0)
     per_coefficient = simulator.space.prior_std / expansion.slope(fit.theta)
-    for k, back in zip(away.tolist(), y, strict=True):
-        chord = np.where(valid, fit.at.y - back, 0.0) / c[k] * per_coefficient[k]
-        J[k] = chord if np.isfinite(chord).all() else J[k]
+    absorbing, _ = np.linalg.qr(fit.metric(fit.at.J[:own]).reshape(own, -1).T)
+    J = fit.at.J.copy()
+    for k, step in zip(away.tolist(), steps, strict=True):
+        white = fit.metric(step).reshape(-1)
+        if np.isfinite(step).all() and np.linalg.norm(white - absorbing @ (white @ absorbing)) < PLAIN:
+            J[k] = step / c[k] * per_coefficient[k]
     return replace(fit, at=replace(fit.at, J=J))
 
 
