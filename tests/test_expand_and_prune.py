@@ -8,11 +8,10 @@ from recorded import TRUTH, fitted, lateral, recorded
 from test_effect_prior import stated
 
 from vehicle_sbi.inference.directions import left_out, null
-from vehicle_sbi.inference.information import SEEN
+from vehicle_sbi.inference.information import PLAIN, SEEN
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import (
-    PLAIN,
     LinearGaussian,
     linear_gaussian,
     order,

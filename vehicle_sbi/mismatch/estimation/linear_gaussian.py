@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vehicle_sbi.inference.information import SEEN
+from vehicle_sbi.inference.information import PLAIN, SEEN
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 
-PLAIN = 8.0  # signal-to-noise ratio of what is plain to see
 LEAST = 0.1  # coefficient of a size, from which an effect's derivative is taken over the way back to it
 
 

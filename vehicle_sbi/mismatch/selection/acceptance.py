@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from vehicle_sbi.data.channels import CHANNELS
-from vehicle_sbi.inference.information import SEEN
+from vehicle_sbi.inference.information import PLAIN, SEEN
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.selection.predictive import CONFIDENT, Gain, Prediction
 
-PLAIN = 8.0  # signal-to-noise ratio of an effect that is plain to see
 ALIKE = SEEN / PLAIN  # of the fitted part's spread, that each channel of the held-out part needs
 BY_MEAN = 1.0  # normalised error of a prediction by the mean
 
