@@ -214,6 +214,7 @@ def test_a_next_start_is_the_likeliest_on_the_way_that_the_car_can_be_simulated_
     assert 0.0 <= share[0] < 1.0
     there, here = (fit.costs(x[None], fit.simulator.noise_free(x[None]))[0] for x in (start, fit.theta))
     assert there <= here
+    assert np.isfinite(fit.simulator.noise_free(start[None])).all()
 
 
 def test_the_likeliest_model_is_fitted_although_no_draw_of_it_can_be_simulated(base: Fit, pruned: Pruned) -> None:

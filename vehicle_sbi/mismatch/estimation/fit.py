@@ -22,7 +22,7 @@ from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.problem.observation import Observation, Series
 
 STEP = 3e-5  # of the prior's width or of an initial state's standard deviation, for differences: so long that loops,
-# which end at 1e-9, are no part of them, and so short that a stiffness which shows to a thousandth is off by no more
+# which end at 1e-9, are no part of them, and so short that derivatives by stiffnesses are off by half a percent at most
 DAMPING = 1e-3  # information in units of the prior that keeps directions which nothing sees from running away
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tried
 MOST_STEPS = 15

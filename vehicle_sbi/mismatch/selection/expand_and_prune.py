@@ -170,8 +170,8 @@ def expand_and_prune(
         fits = [fit, *_further(fit, naming)]
         tried = tried or [responses(one) for one in fits]
         off = [discrepancies(one, them) for one, them in zip(fits, tried, strict=False)]
-        chords = [to_nulls(now.expansion, one) for one in fits]
-        problem = linear_gaussian(now.expansion, [*zip(chords, map(_columns, off), strict=False)])
+        about = [to_nulls(now.expansion, one) for one in fits]
+        problem = linear_gaussian(now.expansion, [*zip(about, map(_columns, off), strict=False)])
         groups, last = groups_of(now.expansion, problem, prior), k >= budget.rounds - budget.pooled
         drawn = sample(problem.H, problem.b, groups, shared, budget.last if last else budget.first, rng)
         found += [_pruned(now.expansion, fit, off[0], drawn, showing(now.expansion, problem))] if last else []
