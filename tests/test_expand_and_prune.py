@@ -15,6 +15,7 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     LinearGaussian,
     linear_gaussian,
     order,
+    plain_from,
     showing,
     to_nulls,
 )
@@ -102,6 +103,16 @@ def test_of_an_effect_that_is_not_plain_the_linear_model_is_exact_where_it_is_mi
     np.testing.assert_array_equal(steady.at.J[others], fit.at.J[others])
 
 
+def test_where_all_effects_are_at_their_nulls_the_linear_model_is_that_of_the_fit(
+    expanded: tuple[Expansion, Fit],
+) -> None:
+    expansion, fit = expanded
+    resting = replace(
+        fit, theta=np.concatenate([fit.theta[: len(expansion.base)], expansion.rest[len(expansion.base) :]])
+    )
+    assert to_nulls(expansion, resting) is resting
+
+
 @pytest.mark.parametrize("coherence", [0.0, 0.6, 0.999])
 def test_a_size_shows_by_what_base_parameters_leave_of_it(expanded: tuple[Expansion, Fit], coherence: float) -> None:
     # A base column of length s takes c^2 s^2 / (s^2 + 1) of a size's, its prior being worth 1: what is left of it, at
@@ -114,6 +125,19 @@ def test_a_size_shows_by_what_base_parameters_leave_of_it(expanded: tuple[Expans
         H = np.diag(np.repeat([s**2, 1.0, t**2], [own, columns - own - 1, 1]))
         H[0, -1] = H[-1, 0] = coherence * s * t
         assert showing(roll, LinearGaussian(H, np.zeros(columns), np.zeros(0, dtype=int))).tolist() == [expected]
+
+
+def test_a_discrepancy_is_plain_by_all_that_base_parameters_leave_of_its_columns(
+    expanded: tuple[Expansion, Fit],
+) -> None:
+    # Two groups, of three columns and of one; a base column takes c^2 s^2 / (s^2 + 1) of one column of the first.
+    roll, s, t, coherence = expanded[0].only({"body_roll.gradient"}), 50.0, 20.0, 0.8
+    columns = len(roll.unit)
+    H = np.diag(np.repeat([s**2, 1.0, t**2], [len(roll.base), columns - len(roll.base), 4]))
+    H[0, columns] = H[columns, 0] = coherence * s * t
+    problem = LinearGaussian(H, np.zeros(len(H)), columns + np.array([3, 4]))
+    left = 3.0 - coherence**2 * s**2 / (s**2 + 1.0)
+    np.testing.assert_allclose(plain_from(roll, problem), [PLAIN / (t * np.sqrt(left)), PLAIN / t], rtol=1e-12)
 
 
 def test_coefficients_say_where_parameters_are(expanded: tuple[Expansion, Fit]) -> None:

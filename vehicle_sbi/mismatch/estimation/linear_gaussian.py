@@ -57,6 +57,8 @@ def to_nulls(expansion: Expansion, fit: Fit) -> Fit:
     """
     simulator, own, c = fit.simulator, len(expansion.base), expansion.coefficients(fit.theta)
     away = own + np.flatnonzero(np.abs(c[own : own + len(expansion.sizes)]) > LEAST)
+    if not len(away):
+        return fit
     points = np.where(np.arange(len(c)) == away[:, None], expansion.rest, fit.theta)
     steps = np.where(simulator.windows.valid, fit.at.y - simulator.noise_free(points), 0.0)
     per_coefficient = simulator.space.prior_std / expansion.slope(fit.theta)
@@ -71,12 +73,27 @@ def to_nulls(expansion: Expansion, fit: Fit) -> Fit:
 
 def showing(expansion: Expansion, problem: LinearGaussian) -> Bool[np.ndarray, " sizes"]:
     """Which sizes, as large as their boxes allow, change more than base parameters take over by what is seen."""
-    own, stop = len(expansion.base), len(expansion.unit)
-    sizes = slice(stop - len(expansion.sizes), stop)
-    both = problem.H[:own, sizes]
+    left = _left(expansion, problem)[: len(expansion.unit) - len(expansion.base)]
+    return np.sqrt(left[len(left) - len(expansion.sizes) :]) * expansion.reach >= SEEN
+
+
+def plain_from(expansion: Expansion, problem: LinearGaussian) -> Float[np.ndarray, " groups"]:
+    """Amplitude from which each discrepancy is plain to see: of what its columns are expected to change then, base
+    parameters leave a root of the sum of squares of PLAIN standard deviations of the noise."""
+    own, first = len(expansion.base), len(expansion.unit)
+    left = _left(expansion, problem)
+    sums = [
+        left[start - own : stop - own].sum() for start, stop in zip([first, *problem.stop], problem.stop, strict=False)
+    ]
+    return PLAIN / np.sqrt(np.maximum(sums, 1e-300))
+
+
+def _left(expansion: Expansion, problem: LinearGaussian) -> Float[np.ndarray, " columns"]:
+    """Squared norms of all columns behind the base parameters', without what those take over."""
+    own = len(expansion.base)
+    both = problem.H[:own, own:]
     taken = np.sum(both * np.linalg.solve(problem.H[:own, :own] + np.eye(own), both), axis=0)
-    left = np.sqrt(np.maximum(np.diag(problem.H)[sizes] - taken, 0.0))
-    return left * expansion.reach >= SEEN
+    return np.maximum(np.diag(problem.H)[own:] - taken, 0.0)
 
 
 def order(expansion: Expansion) -> np.ndarray:

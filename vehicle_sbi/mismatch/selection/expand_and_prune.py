@@ -19,7 +19,14 @@ from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere, under_own_noise
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import SHARES, Fit, Shrinkage
-from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, order, showing, to_nulls
+from vehicle_sbi.mismatch.estimation.linear_gaussian import (
+    LinearGaussian,
+    linear_gaussian,
+    order,
+    plain_from,
+    showing,
+    to_nulls,
+)
 from vehicle_sbi.mismatch.hypotheses.dictionary import believed
 from vehicle_sbi.mismatch.hypotheses.discrepancy import (
     Discrepancy,
@@ -55,9 +62,10 @@ BUDGET = Budget()
 @dataclass(frozen=True)
 class Pruned:
     """Draws from the posterior over the expanded model: `theta` (n, d) in the parameters' units, `included` (n, sizes)
-    says which sizes are away from their nulls, `discrepant` (n, groups) which discrepancies are there, `beyond` (d,)
-    which share of draws lay beyond each parameter's box before they were folded back. `shows` (sizes) says which sizes
-    would be seen beside the base parameters; others are not named, and only widen what is said of those."""
+    says which sizes are away from their nulls, `discrepant` (n, groups) which discrepancies are as large as would be
+    plain to see, `beyond` (d,) which share of draws lay beyond each parameter's box before they were folded back.
+    `shows` (sizes) says which sizes would be seen beside the base parameters; others are not named, and only widen what
+    is said of those."""
 
     expansion: Expansion
     theta: Float[np.ndarray, "n d"]
@@ -91,7 +99,7 @@ class Pruned:
 
     @cached_property
     def unexplained(self) -> Bool[np.ndarray, " n"]:
-        """In which draws there is a discrepancy, which no effect stands for."""
+        """In which draws there is a discrepancy, which no effect stands for, as large as would be plain to see."""
         return np.any(self.discrepant, axis=1)
 
     @cached_property
@@ -174,7 +182,7 @@ def expand_and_prune(
         problem = linear_gaussian(now.expansion, [*zip(about, map(_columns, off), strict=False)])
         groups, last = groups_of(now.expansion, problem, prior), k >= budget.rounds - budget.pooled
         drawn = sample(problem.H, problem.b, groups, shared, budget.last if last else budget.first, rng)
-        found += [_pruned(now.expansion, fit, off[0], drawn, showing(now.expansion, problem))] if last else []
+        found += [_pruned(now.expansion, fit, off[0], drawn, problem)] if last else []
         now = _again(now, fit, off[0], drawn)
         if k == 0:
             spans = likeliest_spans(fit, known)
@@ -227,11 +235,11 @@ def folded(
 
 
 def _pruned(
-    expansion: Expansion, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled, shows: Bool[np.ndarray, " sizes"]
+    expansion: Expansion, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled, problem: LinearGaussian
 ) -> Pruned:
-    named = len(expansion.groups)
+    named, first, shows = len(expansion.groups), len(expansion.unit), showing(expansion, problem)
     included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
-    discrepant, first = drawn.included[:, named:], len(expansion.unit)
+    discrepant = drawn.included[:, named:] & (drawn.amplitude[:, named:] >= plain_from(expansion, problem))
     left = remainders(fit, here, drawn.coefficient[:, first:], discrepant)
     theta, space = _theta(expansion, drawn.coefficient), expansion.space
     beyond = ((theta < space.low) | (theta > space.high)).mean(axis=0)

@@ -91,9 +91,11 @@ class Shared:
 
 @dataclass(frozen=True)
 class Sampled:
-    """States and coefficients that were kept: `level` of each group, `coefficient` of each column."""
+    """States and coefficients that were kept: `level` of each group, its `amplitude` there (of a named group in its
+    spike in units of what is negligible), `coefficient` of each column."""
 
     level: Int[np.ndarray, "n k"]
+    amplitude: Float[np.ndarray, "n k"]
     coefficient: Float[np.ndarray, "n columns"]
 
     @property
@@ -122,7 +124,8 @@ def sample(
                 int(rng.integers(2**31)),
             )
         )  # fmt: skip
-    return Sampled(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+    level, coefficient = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return Sampled(level, groups.amplitude[np.arange(len(groups.stop)), level], coefficient)
 
 
 @njit(cache=True)
