@@ -33,8 +33,9 @@ from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, to_nulls
 from vehicle_sbi.mismatch.hypotheses.discrepancy import discrepancies, responses
 from vehicle_sbi.mismatch.pipeline import AtOnce
-from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned, groups_of
+from vehicle_sbi.mismatch.selection.expand_and_prune import groups_of
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Sampled, Shared, sample
+from vehicle_sbi.mismatch.selection.pruned import Pruned
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.report.stage_file import read
 from vehicle_sbi.report.tables import markdown

@@ -17,12 +17,15 @@ from vehicle_sbi.command import as_typed
 from vehicle_sbi.data.inspection.inspection import Inspection
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
 from vehicle_sbi.data.inspection.written import write, write_vehicle
+from vehicle_sbi.errors import InputError
 
 
 @launch("inspect_recording")
 def main(cfg: DictConfig) -> None:
     inspection = instantiate(cfg.inspection)
     print(spoken(inspection), end="\n\n")
+    if inspection.given and inspection.unread:
+        raise InputError(inspection.unread)
     if not inspection.given:
         mapping, vehicle = write(inspection, Path(cfg.to), overwrite=cfg.overwrite)
         say_next(inspection, mapping, vehicle, f"written: {mapping}, {vehicle}; edit both")

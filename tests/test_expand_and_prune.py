@@ -22,14 +22,13 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, discrepancies, responses
 from vehicle_sbi.mismatch.selection.expand_and_prune import (
     Budget,
-    Pruned,
     _likeliest_before,
     _Round,
     expand_and_prune,
-    folded,
 )
 from vehicle_sbi.mismatch.selection.extended import with_effects
 from vehicle_sbi.mismatch.selection.inclusion import Chain
+from vehicle_sbi.mismatch.selection.pruned import Pruned, folded
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
 

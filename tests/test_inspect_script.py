@@ -103,9 +103,12 @@ def test_an_edited_mapping_is_held_against_the_file(inspected: tuple[Path, str],
 
 
 def test_a_preset_that_does_not_fit_says_what_it_lacks(inspected: tuple[Path, str], tmp_path: Path) -> None:
-    status, out, _ = inspect(f"recording={inspected[0]}/drive.csv", "mapping=autoware", f"to={tmp_path}")
-    assert status == 0
-    assert "unknown column '/vehicle/status/steering_status.steering_tire_angle'" in out
+    status, out, err = inspect(f"recording={inspected[0]}/drive.csv", "mapping=autoware", f"to={tmp_path}")
+    assert status == 2
+    assert "  column " in out
+    assert len(err.splitlines()) == 1
+    assert "unknown column '/vehicle/status/steering_status.steering_tire_angle'" in err
+    assert not list(tmp_path.iterdir())
 
 
 def test_topics_of_autoware_are_recognised_and_commands_are_not(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from vehicle_sbi.data.inspection.guess import guess
 from vehicle_sbi.data.inspection.inspection import Inspection, inspect
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
 from vehicle_sbi.data.inspection.units import split
-from vehicle_sbi.data.inspection.written import write
+from vehicle_sbi.data.inspection.written import mapping_text, write
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.physics.vehicle import MEANINGS, Vehicle
@@ -60,6 +60,11 @@ def test_a_unit_is_read_from_the_end_of_a_name(name: str, unit: str | None) -> N
         ("SWA", "steering_wheel"), ("SteeringWheelAngle [deg]", "steering_wheel"),
         ("steering_wheel_deg", "steering_wheel"),
         ("road_wheel_angle_rad", "steering"), ("steering_tire_angle", "steering"), ("VehSpdLgt", "v_x"),
+        ("Lenkradwinkel", "steering_wheel"), ("LW_Winkel", "steering_wheel"), ("Lenkwinkel", "steering"),
+        ("Geschwindigkeit", "v_x"), ("Fahrzeuggeschwindigkeit", "v_x"), ("Radgeschwindigkeit", None),
+        ("Querbeschleunigung", "a_y"), ("Längsbeschleunigung", "a_x"), ("Gierrate", "yaw_rate"),
+        ("Gierwinkelgeschwindigkeit", "yaw_rate"), ("Wankrate", "roll_rate"), ("Nickrate", "pitch_rate"),
+        ("Lenkradwinkelgeschwindigkeit", None), ("Windgeschwindigkeit", None),
         ("VehicleSpeed", "v_x"), ("v_x_mps", "v_x"), ("velocity", "v_x"), ("GPS Speed (km/h)", "v_x"),
         ("twist.linear.x", "v_x"), ("vel encoder", "v_x"), ("Lat._Vel.", "v_y"), ("ALgt1", "a_x"), ("X_Accel", "a_x"),
         ("acc x (IMU)", "a_x"), ("linear_acceleration.x", "a_x"), ("G Long (g)", "a_x"), ("LongAcc", "a_x"),
@@ -193,6 +198,21 @@ def test_a_drive_that_cannot_be_read_says_why(tmp_path: Path) -> None:
     found = inspect(csv(tmp_path / "a.csv", {"time_s": t, "v_x": t}))
     assert "repeats the time of the row above" in str(found.unread)
     assert "1 times the clock does not go on" in spoken(found)
+
+
+def test_a_german_logger_s_file_is_read_as_windows_writes_it(tmp_path: Path) -> None:
+    path = tmp_path / "fahrt.csv"
+    t = np.arange(200) / 50.0
+    rows = [f"{x:.2f};{40 * np.sin(x):.3f};{60 + x:.3f};{3 * np.sin(x):.4f}".replace(".", ",") for x in t]
+    path.write_bytes(
+        "\r\n".join(["Zeit[s];Lenkradwinkel[°];Geschwindigkeit[km/h];Querbeschl[m/s²]", *rows]).encode("cp1252")
+    )
+    found = inspect(RecordingFile(path=str(path)))
+    assert [one.channel for one in found.guesses] == ["steering_wheel", "v_x", "a_y"]
+    assert found.guesses[0].columns == ("Lenkradwinkel[°]",)
+    text = mapping_text(found)
+    assert '# yaw_rate: {column: "its column", unit: deg/s}' in text
+    assert "# a_y:" not in text
 
 
 def test_the_vehicle_file_fails_until_it_is_edited(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from vehicle_sbi.inference.predictive import QUANTILES, Predictive, predictive
 from vehicle_sbi.inference.prior import KNOWN
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
-from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
+from vehicle_sbi.mismatch.selection.pruned import Pruned
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.physics.vehicle import MEANINGS

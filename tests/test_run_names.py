@@ -8,6 +8,7 @@ import re
 from collections.abc import Sequence
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -53,6 +54,14 @@ def test_what_is_left_out_of_a_name_leaves_eight_digits(typed: Sequence[str], na
     found = named(*typed)
     assert HASHED.search(found)
     assert HASHED.sub("", found) == name
+
+
+@pytest.mark.parametrize("column", ["Zeit[s]", "Time (ms)", "Time [s]", "t", "time_s"])
+def test_a_column_of_times_is_typed_as_the_file_has_it(column: str) -> None:
+    (spelled,) = spelled_out([f"recording.time={column}"])
+    parsed = OverridesParser.create().parse_override(spelled)
+    assert parsed.value() == column
+    assert as_typed([spelled]) == [f"recording.time={column}"]
 
 
 def test_names_of_different_files_differ_and_those_of_the_same_do_not_depend_on_their_order() -> None:

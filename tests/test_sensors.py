@@ -7,6 +7,7 @@ import pytest
 from cars import RATE, RIGID, coasting, finished, record_of
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lsim
 from scipy.spatial.transform import Rotation
 
 from vehicle_sbi.physics.effects import derive
@@ -172,6 +173,29 @@ def test_body_roll_follows_a_rise_as_a_first_order_lag() -> None:
     y = measured(motion, body_roll_gradient=LEAN, body_roll_lag=lag)
     assert y[A_Y, 1:] == pytest.approx(a_y * np.cos(roll[1:]) + G * np.sin(roll[1:]), rel=1e-12)
     assert y[A_Y, 0] == 0.0
+
+
+@pytest.mark.parametrize("period", [0.02, 0.2, 0.55, 1.0])
+@pytest.mark.parametrize("lag", [0.0, 0.03, 0.3])
+def test_body_roll_sways_as_a_mass_on_a_spring_and_a_damper(lag: float, period: float) -> None:
+    # The linear system behind a_y that is linear between samples, by scipy's matrix exponential (lsim).
+    rng, T, a_y = np.random.default_rng(0), period / (2.0 * math.pi), 3.0
+    motion = motion_of(81, a_y=a_y)
+    motion[1:, MOTION.index("a_y")] += rng.normal(0.0, 1.0, 80)
+    system = ([1.0], [T**2, lag + 0.3 * T, 1.0])
+    off = motion[:, MOTION.index("a_y")] - a_y
+    _, swayed, _ = lsim(system, off, np.arange(81) / RATE)
+    roll = LEAN * (a_y + swayed)
+    y = measured(motion, body_roll_gradient=LEAN, body_roll_lag=lag, body_roll_period=period)
+    expected = motion[:, MOTION.index("a_y")] * np.cos(roll) + G * np.sin(roll)
+    np.testing.assert_allclose(y[A_Y], expected, rtol=1e-9)
+
+
+def test_body_roll_without_a_period_is_what_it_is_with_a_short_one() -> None:
+    motion = motion_of(61, a_y=3.0)
+    motion[0, MOTION.index("a_y")] = 0.0
+    short, none = (measured(motion, body_roll_gradient=LEAN, body_roll_lag=0.1, body_roll_period=p) for p in (1e-6, 0))
+    np.testing.assert_allclose(short, none, rtol=1e-6)
 
 
 def test_body_roll_of_a_window_starts_settled() -> None:

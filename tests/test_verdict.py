@@ -23,9 +23,10 @@ from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import Gate
 from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.selection.detection import examine
-from vehicle_sbi.mismatch.selection.expand_and_prune import Budget, Pruned, expand_and_prune
+from vehicle_sbi.mismatch.selection.expand_and_prune import Budget, expand_and_prune
 from vehicle_sbi.mismatch.selection.extended import alternatives, extended, with_effects
 from vehicle_sbi.mismatch.selection.inclusion import Chain
+from vehicle_sbi.mismatch.selection.pruned import Pruned
 from vehicle_sbi.mismatch.selection.reinfer import Reinference
 from vehicle_sbi.physics.effects import CATALOGUE
 

@@ -23,7 +23,7 @@ NONE, UNKNOWN = frozenset(["none"]), frozenset(["unknown"])
 REDUCIBLE = 0.05  # of the oracle's error, that the base model's has to exceed it by in some channel to be reducible
 SHAPES = frozenset(
     name for name in EFFECT_PARAMETERS
-    if name.split(".")[1] in ("arm", "duration", "front_share", "lag", "start") or name == "payload.x"
+    if name.split(".")[1] in ("arm", "duration", "front_share", "lag", "period", "start") or name == "payload.x"
 )  # fmt: skip
 """Parameters that say where, when or how late an effect acts, and mean nothing without its size."""
 OF_ONE_CHANNEL: Mapping[str, str] = {

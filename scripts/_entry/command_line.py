@@ -13,6 +13,7 @@ SUFFIXES: Mapping[str, tuple[str, ...]] = {
     "mapping": (".yaml", ".yml"),
 }
 """The groups that take a file, and what its name ends in."""
+TIME = "recording.time"  # which takes a column's name
 
 
 def spelled_out(arguments: Sequence[str]) -> list[str]:
@@ -49,9 +50,12 @@ def is_file(group: str, value: str) -> bool:
 def _with_file_option(argument: str) -> list[str]:
     """`recording=PATH` and `vehicle=PATH` as the group's `file` option and its path, anything else as it is.
 
-    `mapping=PATH` is the path in the place of the recording's mapping.
+    `mapping=PATH` is the path in the place of the recording's mapping. A column's name may hold what Hydra's grammar
+    reserves, as in `Time [s]`.
     """
     group, _, value = argument.partition("=")
+    if group == TIME and not re.fullmatch(r"[\w.-]*|'.*'|\".*\"", value):
+        return [f"{TIME}={json.dumps(value, ensure_ascii=False)}"]
     if group == "mapping" and is_file(group, value):
         return [f"recording.mapping={json.dumps(value)}"]
     return [f"{group}=file", f"{group}.path={json.dumps(value)}"] if is_file(group, value) else [argument]
@@ -72,7 +76,9 @@ def _first_recording(argument: str) -> str | None:
 
 
 def _mapping(override: str) -> str:
-    """`recording.mapping="PATH"` as `mapping=PATH`, anything else as it is."""
+    """`recording.mapping="PATH"` as `mapping=PATH`, a column of times without quotes, anything else as it is."""
+    if override.startswith(f"{TIME}="):
+        return f"{TIME}={_unquoted(override.removeprefix(f'{TIME}='))}"
     path = _unquoted(override.removeprefix("recording.mapping="))
     return f"mapping={path}" if path != override and is_file("mapping", path) else override
 

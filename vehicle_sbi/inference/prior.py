@@ -14,6 +14,8 @@ from vehicle_sbi.physics.size import size_of
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, IMU_PRIORS, Vehicle
 
 DELTA_SCALE = 1e5
+USUAL = "usual"  # of a box: that of a car of this size
+PLACES = 0.35, 0.65  # of the wheelbase, between which centres of gravity lie behind the front axle
 
 
 def _delta(name: str, unit: str, low: float, high: float, *fields: str) -> Parameter:
@@ -60,16 +62,17 @@ def _joined(prior: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _bounds(name: str, value: Any) -> tuple[float, float]:
+def _boxed(name: str, value: Any) -> Parameter:
+    """A parameter with the box that a prior states."""
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
-        raise InputError(f"prior: {name} = {value!r}; a prior is a pair [low, high]")
+        raise InputError(f"prior: {name} = {value!r}; a prior is a pair [low, high], or {USUAL}")
     try:
         low, high = float(value[0]), float(value[1])
     except (TypeError, ValueError):
         raise InputError(f"prior: {name} = {value!r}; low and high must be numbers") from None
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise InputError(f"prior: {name} = [{low:g}, {high:g}]; low must be below high")
-    return low, high
+    return replace(KNOWN[name], low=low, high=high)
 
 
 def unused(drive: str, model: str, sensed: Collection[str]) -> tuple[str, ...]:
@@ -95,9 +98,15 @@ def reported(p: Parameter, sensed: Mapping[str, str]) -> bool:
 
 def typical(vehicle: Vehicle, model: str) -> dict[str, float]:
     """For each constant that the vehicle file leaves out the middle of its box for a car of this size."""
-    size = size_of(vehicle.m, vehicle.L)
-    boxes = {name: size.fitted(KNOWN[name]) for name in vehicle.missing(model)}
+    boxes = {name: usual(name, vehicle) for name in vehicle.missing(model)}
     return {name: 0.5 * (box.low + box.high) for name, box in boxes.items()}
+
+
+def usual(name: str, vehicle: Vehicle) -> Parameter:
+    """A parameter with the box of a car of this size; where its centre of gravity is, of a car of this wheelbase."""
+    if name == "l_f" and vehicle.L is not None:
+        return replace(KNOWN[name], low=PLACES[0] * vehicle.L, high=PLACES[1] * vehicle.L)
+    return size_of(vehicle.m, vehicle.L).fitted(KNOWN[name])
 
 
 def parameter_space(
@@ -111,27 +120,26 @@ def parameter_space(
 ) -> ParameterSpace:
     """The free parameters: those of the prior file, those of the effects, and what the vehicle file leaves out.
 
-    Boxes that are not stated are those of a car of this size. A null takes a parameter out of the prior, and one of an
-    effect out of the effect: it stays where that vanishes. With what is `sensed` (the group of each channel), neither
-    constants that nothing recorded depends on are freed nor what effects do to sensors that are not recorded.
+    Boxes that are not stated, or stated as `usual`, are those of a car of this size. A null takes a parameter out of
+    the prior, and one of an effect out of the effect: it stays where that vanishes. With what is `sensed` (the group of
+    each channel), neither constants that nothing recorded depends on are freed nor what effects do to sensors that are
+    not recorded.
     Raises InputError for an unknown name, a box with low >= high, or one in which no vehicle exists.
     """
     free: dict[str, Parameter] = {}
-    size = size_of(vehicle.m, vehicle.L)
     for name, value in flatten(prior).items():
         if name not in KNOWN:
             raise unknown("parameter", name, KNOWN, "prior")
-        low, high = _bounds(name, value)
-        free[name] = replace(KNOWN[name], low=low, high=high)
+        free[name] = usual(name, vehicle) if value == USUAL else _boxed(name, value)
     named = stated(prior)
     for name in effects:
         if name not in CATALOGUE:
             raise unknown("effect", name, CATALOGUE, "effects")
         own = (p for p in CATALOGUE[name].parameters if sensed is None or reported(p, sensed))
-        free |= {p.name: size.fitted(p) for p in own if p.name not in named}
+        free |= {p.name: usual(p.name, vehicle) for p in own if p.name not in named}
     settled = {name for p in free.values() for name in p.fields}
     settled |= set() if sensed is None else {*unused(drive, model, sensed)}
-    free |= {name: size.fitted(KNOWN[name]) for name in vehicle.missing(model) if name not in settled}
+    free |= {name: usual(name, vehicle) for name in vehicle.missing(model) if name not in settled}
     if not free:
         raise InputError("prior: no parameter is free; state at least one as name: [low, high]")
     space = ParameterSpace(tuple(free.values()))

@@ -16,9 +16,10 @@ from vehicle_sbi.mismatch.estimation.fit_check import Gate, through
 from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.problem.case import Case
 from vehicle_sbi.mismatch.selection.detection import Examined, examine
-from vehicle_sbi.mismatch.selection.expand_and_prune import BUDGET, Budget, Pruned, expand_and_prune
+from vehicle_sbi.mismatch.selection.expand_and_prune import BUDGET, Budget, expand_and_prune
 from vehicle_sbi.mismatch.selection.extended import Extended, extended
 from vehicle_sbi.mismatch.selection.predictive import Gain, Prediction, gain, predict
+from vehicle_sbi.mismatch.selection.pruned import Pruned
 
 STEPS = {
     "fit": "fitting the base model",
@@ -74,7 +75,7 @@ def steps(
     known = keep("directions", list[Direction], lambda: left_out(base.simulator, base.theta))
     seen = keep("separability", Card, lambda: card(base.simulator, base.theta, known))
     examined = keep("examined", Examined, lambda: examine(base, seen.visible(known), draws))
-    enough = budget if examined.detected else replace(budget, rounds=1, pooled=1)
+    enough = budget if examined.detected else replace(budget, rounds=1, pooled=1, without=0)
     at_once = keep(
         "pruned",
         AtOnce,

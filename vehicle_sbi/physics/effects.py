@@ -24,6 +24,7 @@ LEAST_LOAD = 1e-3  # of the static one, that loads are divided by
 LEAST_STIFFNESS = 0.05  # share of a stiffness that no load and no acceleration takes away
 LEAST_LAG = 0.5  # of the way that a wheel rolls in a step of the integrator, the least length that lags as it is
 MOST_GRIP = 0.99  # share of the grip that a given longitudinal force takes, at most
+SPRUNG = 0.15  # damping ratio of a body on its springs at least
 REPORTED = (
     "imu",
     "can",
@@ -83,6 +84,11 @@ def _effect(
             for key, (unit, low, high, null) in parameters.items()
         ),
     )
+
+
+def _swaying(angle: str, input_: str) -> str:
+    """How a body on springs and dampers leans, as an equation."""
+    return f"T^2 d2({angle})/dt2 + (lag + 0.3 T) d({angle})/dt = {input_} - {angle}, T = period / 2 pi"
 
 
 CATALOGUE: Mapping[str, Effect] = {
@@ -184,12 +190,12 @@ CATALOGUE: Mapping[str, Effect] = {
                 front=("1", 0.9, 1.1, 1.0), rear=("1", 0.9, 1.1, 1.0)),
         # sensors
         _effect("body_roll", "sensor", "the body leans outwards and gravity leaks into a_y",
-                "a_y = a_y cos(roll) + g sin(roll), lag d(roll)/dt = gradient a_y - roll", f"{RAJAMANI}, sec. 15.2",
-                gradient=("rad/(m/s^2)", 0.0, 0.02, 0.0), lag=("s", 0.0, 0.3, 0.0)),
+                f"a_y = a_y cos(roll) + g sin(roll), {_swaying('roll', 'gradient a_y')}", f"{RAJAMANI}, sec. 15.2",
+                gradient=("rad/(m/s^2)", 0.0, 0.02, 0.0), lag=("s", 0.0, 0.3, 0.0), period=("s", 0.0, 1.0, 0.0)),
         _effect("body_pitch", "sensor", "the nose lifts under acceleration and gravity leaks into a_x",
-                "a_x = a_x cos(pitch) - g sin(pitch), lag d(pitch)/dt = -gradient a_x - pitch",
+                f"a_x = a_x cos(pitch) - g sin(pitch), {_swaying('pitch', '-gradient a_x')}",
                 f"{RAJAMANI}, sec. 15.2",
-                gradient=("rad/(m/s^2)", 0.0, 0.02, 0.0), lag=("s", 0.0, 0.3, 0.0)),
+                gradient=("rad/(m/s^2)", 0.0, 0.02, 0.0), lag=("s", 0.0, 0.3, 0.0), period=("s", 0.0, 1.0, 0.0)),
         _effect("imu_lever_arm", "sensor", "the IMU sits away from the centre of gravity",
                 "a = a_COG + dw/dt x p + w x (w x p)", "rigid-body kinematics",
                 x=("m", -1.5, 1.5, 0.0), y=("m", -0.8, 0.8, 0.0), z=("m", -0.5, 1.0, 0.0)),
@@ -342,6 +348,39 @@ def lagged(y: float, before: float, now: float, lag: float, rate: float) -> floa
         return now
     trailing = rate * lag * (now - before)
     return now - trailing + math.exp(-1.0 / (rate * lag)) * (y - before + trailing)
+
+
+@compiled
+def swaying(
+    y: float, dy: float, before: float, now: float, lag: float, period: float, rate: float
+) -> tuple[float, float]:
+    """A spring and a damper a sample after (`y`, `dy`), exactly, input linear from `before` to `now`: y and dy/dt.
+
+    With T the natural period [s] over 2 pi and c = lag + 2 SPRUNG T, T^2 d2y/dt2 + c dy/dt = u - y has
+    y = u - c du/dt as its particular solution on a straight line u; the rest decays as it does without input. Without
+    a period it is a first-order lag [s].
+    """
+    if period <= 0.0:
+        return lagged(y, before, now, lag, rate), 0.0
+    T = period / (2.0 * math.pi)
+    c, stiffness, slope = lag + 2.0 * SPRUNG * T, 1.0 / (T * T), rate * (now - before)
+    a = 0.5 * c * stiffness
+    cosine, sine = _free(a, a * a - stiffness, stiffness, 1.0 / rate)
+    off, d_off = y - before + c * slope, dy - slope
+    return (
+        now - c * slope + (cosine + a * sine) * off + sine * d_off,
+        slope - stiffness * sine * off + (cosine - a * sine) * d_off,
+    )
+
+
+@compiled
+def _free(a: float, square: float, stiffness: float, t: float) -> tuple[float, float]:
+    """exp(-a t) times cosh(w t) and sinh(w t) / w, w^2 being `square` = a^2 - stiffness, which may be negative."""
+    w = math.sqrt(abs(square))
+    if square < 0.0:
+        return math.exp(-a * t) * math.cos(w * t), math.exp(-a * t) * math.sin(w * t) / w
+    slow, fast = math.exp(-stiffness / (a + w) * t), math.exp(-(a + w) * t)
+    return 0.5 * (slow + fast), 0.5 * (slow - fast) / w if w * t > 1e-6 else t * slow
 
 
 @compiled

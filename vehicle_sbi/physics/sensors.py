@@ -7,7 +7,7 @@ a raised left side and a leaning body each leave g times the sine of their angle
 import math
 
 from vehicle_sbi.physics.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import interpolate, lagged, road_bank, road_grade
+from vehicle_sbi.physics.effects import interpolate, lagged, road_bank, road_grade, swaying
 from vehicle_sbi.physics.vehicle import GRAVITY
 
 # Columns of the motion that the integrator records at each sample: that of the body's centre of gravity, its attitude
@@ -72,17 +72,17 @@ def imu_misalignment(p, f_x: float, f_y: float, f_z: float) -> tuple[float, floa
 
 
 @compiled
-def body_roll(p, roll: float, before: float, a_y: float, rate: float) -> float:
-    """Roll angle [rad] a sample after `roll`, gradient * a_y behind a first-order lag; a_y was `before` then."""
+def body_roll(p, roll: float, velocity: float, before: float, a_y: float, rate: float) -> tuple[float, float]:
+    """Roll angle [rad] and its rate a sample after (`roll`, `velocity`), towards gradient * a_y; a_y was `before`."""
     gradient = p.body_roll_gradient
-    return lagged(roll, gradient * before, gradient * a_y, p.body_roll_lag, rate)
+    return swaying(roll, velocity, gradient * before, gradient * a_y, p.body_roll_lag, p.body_roll_period, rate)
 
 
 @compiled
-def body_pitch(p, pitch: float, before: float, a_x: float, rate: float) -> float:
-    """Pitch angle [rad], nose down, a sample after `pitch`: -gradient * a_x behind a first-order lag."""
+def body_pitch(p, pitch: float, velocity: float, before: float, a_x: float, rate: float) -> tuple[float, float]:
+    """Pitch angle [rad], nose down, and its rate a sample after (`pitch`, `velocity`), towards -gradient * a_x."""
     gradient = -p.body_pitch_gradient
-    return lagged(pitch, gradient * before, gradient * a_x, p.body_pitch_lag, rate)
+    return swaying(pitch, velocity, gradient * before, gradient * a_x, p.body_pitch_lag, p.body_pitch_period, rate)
 
 
 @compiled
@@ -118,14 +118,14 @@ def speed_scale(p, v_x: float) -> float:
 @compiled_apart
 def measure(p, motion, t, rate: float, y) -> None:
     """Fill y (10, time) with MEASUREMENTS from motion (time, 14) at times t [s], before any lag, delay or noise."""
-    lean = p.body_roll_gradient * motion[0, A_Y]
-    dive = -p.body_pitch_gradient * motion[0, A_X]
+    lean, leaning = p.body_roll_gradient * motion[0, A_Y], 0.0
+    dive, diving = -p.body_pitch_gradient * motion[0, A_X], 0.0
     for k in range(motion.shape[0]):
         a_x, a_y, r = motion[k, A_X], motion[k, A_Y], motion[k, R]
         w_x, w_y = motion[k, P], motion[k, Q]
         earlier = max(k - 1, 0)
-        lean = body_roll(p, lean, motion[earlier, A_Y], a_y, rate)
-        dive = body_pitch(p, dive, motion[earlier, A_X], a_x, rate)
+        lean, leaning = body_roll(p, lean, leaning, motion[earlier, A_Y], a_y, rate)
+        dive, diving = body_pitch(p, dive, diving, motion[earlier, A_X], a_x, rate)
         f_x, f_y, f_z = lever_arm(p, a_x, a_y, w_x, w_y, r, motion[k, P_DOT], motion[k, Q_DOT], motion[k, R_DOT])
         g_x, g_y = road_grade(p, t[k]), road_bank(p)
         f_x, f_y, f_z = f_x + g_x, f_y + g_y, f_z + math.sqrt(GRAVITY * GRAVITY - g_x * g_x - g_y * g_y)

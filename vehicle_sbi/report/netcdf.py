@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # they take long to import, and a run needs no diagnosis
 
     from vehicle_sbi.inference.study import Prepared
     from vehicle_sbi.mismatch.problem.case import Case
-    from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
+    from vehicle_sbi.mismatch.selection.pruned import Pruned
 
 FILE = "posterior.nc"
 ENGINE = "h5netcdf"

@@ -5,18 +5,30 @@ from pathlib import Path
 
 from vehicle_sbi.errors import InputError
 
+WINDOWS = "cp1252"  # of western Windows, in which Latin-1 reads alike
+
 
 def text_lines(path: Path, encoding: str) -> list[str]:
-    """The file's lines without the empty ones at its end; InputError if it is empty, binary or a web page."""
+    """The file's lines without the empty ones at its end; InputError if it is empty, binary or a web page.
+
+    What the encoding does not hold is read as that of Windows.
+    """
     data = path.read_bytes()
     if b"\0" in data[:65536]:
         raise InputError(f"{path}: is binary, not the text that a {path.suffix} file holds")
-    lines = data.decode(encoding, errors="replace").rstrip().splitlines()
+    lines = _decoded(data, encoding).rstrip().splitlines()
     if not lines:
         raise InputError(f"{path}: is empty")
     if lines[0].lstrip().startswith("<"):
         raise InputError(f"{path}: is HTML or XML, not a {path.suffix} file")
     return lines
+
+
+def _decoded(data: bytes, encoding: str) -> str:
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError:
+        return data.decode(WINDOWS, errors="replace")
 
 
 def check_widths(path: Path, widths: Sequence[tuple[int, int]], expected: int) -> None:

@@ -23,7 +23,7 @@ from vehicle_sbi.errors import InputError
 LONGEST_PREAMBLE = 500
 """Lines among which the first numbers are sought."""
 
-TIMES = ("time_s", "time", "t", "timestamp", "elapsed time", "elapsed")
+TIMES = ("time_s", "time", "t", "timestamp", "elapsed time", "elapsed", "zeit", "zeitstempel", "messzeit")
 """Names of the time column, the first that a file has, whatever their case."""
 
 BRACKETS = r"[\[(]([^\[\]()]+)[\])]\s*$"

@@ -29,6 +29,7 @@ from vehicle_sbi.data.inspection.units import si, split
 
 ROAD_WHEELS_TURN = 0.8  # [rad], 46 degrees: a steering that goes further is the steering wheel's
 UNSURE = 2  # rank of a name from which it is unsure
+UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 OF_GREAT_VALUES = {"rad": "deg", "rad/s": "deg/s", "m/s": "km/h"}  # what SI would make impossible
 
 
@@ -69,7 +70,7 @@ def guess(columns: Sequence[Column]) -> tuple[Guess, ...]:
 def plain(name: str) -> str:
     """A name without its unit in small letters, words joined by underscores: VehSpdLgt becomes veh_spd_lgt."""
     parted = re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", split(name)[0])
-    return re.sub(r"[^a-z0-9]+", "_", parted.lower()).strip("_")
+    return re.sub(r"[^a-z0-9]+", "_", parted.lower().translate(UMLAUTS)).strip("_")
 
 
 def _channel(column: Column) -> tuple[str, int] | None:

@@ -1,4 +1,4 @@
-"""Names of channels in common use: CAN databases, data loggers, ROS messages, papers.
+"""Names of channels in common use: CAN databases, data loggers, ROS messages, papers, in English and German.
 
 Patterns are sought in names of small letters joined by underscores, without their unit (`guess.plain`).
 """
@@ -14,19 +14,20 @@ SPEED = r"(vel|velocity|speed|spd)"
 TURN = r"(w|omega|gyr|gyro|gyroscope|rate|ang_?rate)"
 
 
-def _acceleration(axis: str, word: str, sides: str) -> tuple[str, ...]:
+def _acceleration(axis: str, word: str, sides: str, german: str) -> tuple[str, ...]:
     """Names of an acceleration along an axis, by its letter, by a word for it, and by the side that it points to."""
     return (
-        rf"(^|_){A}_?{axis}(_|$)|(^|_){axis}_?acc(el|eleration)?(_|\d|$)|linear_acceleration_{axis}",
+        rf"(^|_){A}_?{axis}(_|$)|(^|_){axis}_?acc(el|eleration)?(_|\d|$)|linear_acceleration_{axis}"
+        rf"|(^|_){german}_?beschl(eunigung)?(_|$)",
         rf"(^|_){word}_?{A}\d*$|(^|_){A}_?{word}\d*$",
         rf"(^|_)g_?(force_?)?({word}|{axis})\d*$|(^|_)a(cc\w*)?_({sides})$",
     )
 
 
-def _turn(axis: str, word: str, sides: str) -> tuple[str, ...]:
+def _turn(axis: str, word: str, sides: str, german: str) -> tuple[str, ...]:
     """Names of a rate of turn about an axis, likewise."""
     return (
-        rf"{word}_?(rate|{SPEED})",
+        rf"{word}_?(rate|{SPEED})|(^|_){german}_?(winkel_?)?(rate|geschwindigkeit)(_|$)",
         rf"gyr(o|oscope)?_?{axis}|angular_velocity_{axis}",
         rf"(^|_){TURN}_?{axis}(_|$)",
         rf"(^|_){TURN}_({sides})$",
@@ -36,27 +37,31 @@ def _turn(axis: str, word: str, sides: str) -> tuple[str, ...]:
 NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "steering_wheel": (
-            r"steer(ing)?_?wh(ee)?l(_?(angle|ang|pos|position))?",
+            r"steer(ing)?_?wh(ee)?l(_?(angle|ang|pos|position))?|lenkrad_?(winkel)?$",
             r"(^|_)(swa|lwi|sas_?angle)",
-            r"hand_?wheel",
+            r"hand_?wheel|(^|_)lw_?winkel",
         ),
         "steering": (
             r"road_?wheel_?(angle|ang|steer)|steer\w*_?ti?yre_?angle|steering_tire_angle",
-            r"(^|_)delta(_f)?$",
+            r"(^|_)delta(_f)?$|(^|_)(rad_?)?lenk_?winkel$",
         ),
         "v_x": (
-            r"veh(icle)?_?(spd|speed|v)|(^|_)v_?x$",
+            r"veh(icle)?_?(spd|speed|v)|(^|_)v_?x$|(^|_)(fahr|fahrzeug_?)?geschwindigkeit$",
             rf"{LONG}_?{SPEED}|linear(_velocity)?_x$",
             rf"^(velocity|speed|gps_?speed|spd|ground_?speed)\d*$|{SPEED}_encoder",
-            r"(^|_)(velocity|speed)$",
+            r"(^|_)(velocity|speed)$|geschwindigkeit_gps$|gps_geschwindigkeit$",
         ),
         "v_y": (r"(^|_)v_?y$", rf"lat(eral)?_?{SPEED}|linear(_velocity)?_y$"),
-        "a_x": _acceleration("x", LONG, "forward"),
-        "a_y": _acceleration("y", "lat(eral)?", "left|right"),
-        "a_z": _acceleration("z", "vert(ical)?", "up|down"),
-        "yaw_rate": (*_turn("z", "yaw", "up|down"), r"psi_?(dot|p)(_|$)|heading_rate", r"^w(_imu)?$|^yaw_?r$"),
-        "roll_rate": _turn("x", "roll", "forward"),
-        "pitch_rate": _turn("y", "pitch", "left|right"),
+        "a_x": _acceleration("x", LONG, "forward", "laengs"),
+        "a_y": _acceleration("y", "lat(eral)?", "left|right", "quer"),
+        "a_z": _acceleration("z", "vert(ical)?", "up|down", "vertikal"),
+        "yaw_rate": (
+            *_turn("z", "yaw", "up|down", "gier"),
+            r"psi_?(dot|p)(_|$)|heading_rate",
+            r"^w(_imu)?$|^yaw_?r$",
+        ),
+        "roll_rate": _turn("x", "roll", "forward", "(wank|roll)"),
+        "pitch_rate": _turn("y", "pitch", "left|right", "nick"),
         "roll": (r"(^|_)roll(_?(angle|ang|imu))?\d*$",),
         "torque_front": (r"(tq|torque)_?front$|front_?(axle_?)?(tq|torque)",),
         "torque_rear": (r"(tq|torque)_?rear$|rear_?(axle_?)?(tq|torque)",),
@@ -67,8 +72,8 @@ NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 EXCLUDED: Mapping[str, str] = MappingProxyType(
     {
-        "v_x": r"wh(ee)?l|yaw|roll|pitch|ang|eng|motor|lat_|vert|fan|wind|steer",
-        **dict.fromkeys(("steering", "steering_wheel"), r"rate|speed|spd|vel|torque|tq"),
+        "v_x": r"wh(ee)?l|yaw|roll|pitch|ang|eng|motor|lat_|vert|fan|(?<!gesch)wind|steer|quer|lenk",
+        **dict.fromkeys(("steering", "steering_wheel"), r"rate|speed|spd|vel|torque|tq|geschw|moment"),
         "roll": r"acc|vel",
     }
 )

@@ -29,6 +29,10 @@ DRIVEN = "1 front, 0 rear, between if both"
 USUAL = {"drive_front": json.dumps(DRIVEN), "brake_front": "0.6", "C_vert": ".inf", "K": ".inf"}
 
 
+EXAMPLES = {"v_x": "km/h", "a_y": "m/s2", "yaw_rate": "deg/s"}
+"""Channels that every diagnosis needs, beside a steering, with a unit that a logger may have."""
+
+
 def write(inspection: Inspection, folder: Path, *, overwrite: bool = False) -> tuple[Path, Path]:
     """Write the mapping and the vehicle file; InputError, and nothing written, where one of them exists."""
     stem = inspection.path.stem
@@ -66,6 +70,7 @@ def mapping_text(inspection: Inspection) -> str:
             "# Signs are ISO 8855: x forward, y left, z up. In a left turn steering, yaw rate and a_y are positive;",
             "# sign: -1 turns a channel that is not.",
             *map(_line, inspection.guesses),
+            *(f'# {name}: {{column: "its column", unit: {unit}}}' for name, unit in EXAMPLES.items() if name in absent),
             f"# not recognised: {', '.join(absent)}",
             "",
         ]

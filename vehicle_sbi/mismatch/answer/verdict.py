@@ -32,9 +32,9 @@ from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
 from vehicle_sbi.mismatch.problem.case import Case
 from vehicle_sbi.mismatch.selection.acceptance import judged
 from vehicle_sbi.mismatch.selection.detection import Examined
-from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
 from vehicle_sbi.mismatch.selection.extended import Extended, alternatives
 from vehicle_sbi.mismatch.selection.predictive import Gain, Prediction
+from vehicle_sbi.mismatch.selection.pruned import Pruned
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE
 

@@ -2,17 +2,17 @@
 
 The model with every effect in is fitted under shrinkage, and made linear there; which of its columns are needed, and
 how large they are, is sampled (`inclusion`). What was found says where to fit again, and how strongly to shrink: an
-effect that is out is held to its null, the discrepancy that was found is taken off what was recorded. Draws of the
-last rounds are pooled, since none of their linear models is the right one.
+effect that is out is held to its null, the discrepancy that was found is taken off what was recorded. Then each effect
+that is likely to be missing is left out once, and what else may be in its place is fitted and sampled anew. Draws of
+the last rounds and of these are pooled, since none of their linear models is the right one.
 """
 
-import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from vehicle_sbi.inference.directions import Direction, middle
 from vehicle_sbi.inference.effect_prior import EffectPrior
@@ -30,7 +30,6 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
 from vehicle_sbi.mismatch.hypotheses.dictionary import believed
 from vehicle_sbi.mismatch.hypotheses.discrepancy import (
     Discrepancy,
-    Remainder,
     Response,
     discrepancies,
     parts,
@@ -40,83 +39,26 @@ from vehicle_sbi.mismatch.hypotheses.discrepancy import (
 from vehicle_sbi.mismatch.hypotheses.spans import likeliest_spans
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Shared, sample
+from vehicle_sbi.mismatch.selection.pruned import Pruned, folded, pooled
 from vehicle_sbi.parameters import Parameter
 
+LIKELY = 0.5  # probability from which it is asked what would be in an effect's place
 LEAST_RMS = 0.02  # typical sizes, within which an effect that is out is held
 
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Rounds of fit and sampling, from which of the last ones draws are pooled, and the chains of those and of the ones
-    before, which only say where to fit again."""
+    """Rounds of fit and sampling, from which of the last ones draws are pooled, how many of the effects that are likely
+    are left out once, and the chains of what is pooled and of what only says where to fit again."""
 
     rounds: int = 3
     pooled: int = 2
+    without: int = 20
     first: Chain = field(default_factory=lambda: Chain(chains=2, sweeps=120, forgotten=40, every=2))
     last: Chain = field(default_factory=lambda: Chain(chains=2, sweeps=240, forgotten=80, every=2))
 
 
 BUDGET = Budget()
-
-
-@dataclass(frozen=True)
-class Pruned:
-    """Draws from the posterior over the expanded model: `theta` (n, d) in the parameters' units, `included` (n, sizes)
-    says which sizes are away from their nulls, `discrepant` (n, groups) which discrepancies are as large as would be
-    plain to see, `beyond` (d,) which share of draws lay beyond each parameter's box before they were folded back.
-    `shows` (sizes) says which sizes would be seen beside the base parameters; others are not named, and only widen what
-    is said of those."""
-
-    expansion: Expansion
-    theta: Float[np.ndarray, "n d"]
-    included: Bool[np.ndarray, "n sizes"]
-    discrepant: Bool[np.ndarray, "n groups"]
-    beyond: Float[np.ndarray, " d"]
-    shows: Bool[np.ndarray, " sizes"]
-    fit: Fit
-    remainders: list[Remainder]
-
-    def away(self, effect: str) -> Bool[np.ndarray, " n"]:
-        """In which draws an effect, whether it shows or not, is away from its null."""
-        own = np.array([p.name.split(".")[0] == effect for p in self.expansion.sizes], dtype=bool)
-        return np.any(self.included[:, own], axis=1)
-
-    @cached_property
-    def missing(self) -> dict[str, Bool[np.ndarray, " n"]]:
-        """In which draws each effect that shows is away from its null."""
-        showing = itertools.compress(self.expansion.sizes, self.shows)
-        return {effect: self.away(effect) for effect in dict.fromkeys(p.name.split(".")[0] for p in showing)}
-
-    @property
-    def effects(self) -> dict[str, float]:
-        """The probability that each effect is missing, whatever else is; the largest first."""
-        found = {name: float(there.mean()) for name, there in self.missing.items()}
-        return dict(sorted(found.items(), key=lambda one: -one[1]))
-
-    def any_of(self, effects: Collection[str]) -> float:
-        """The probability that at least one of some effects is missing."""
-        return float(np.any([self.missing[name] for name in effects], axis=0).mean())
-
-    @cached_property
-    def unexplained(self) -> Bool[np.ndarray, " n"]:
-        """In which draws there is a discrepancy, which no effect stands for, as large as would be plain to see."""
-        return np.any(self.discrepant, axis=1)
-
-    @cached_property
-    def sets(self) -> dict[tuple[str, ...], Bool[np.ndarray, " n"]]:
-        """Every set of effects that was drawn, with the draws that have it; the most frequent first."""
-        names = np.array([*self.missing])
-        drawn, of = np.unique(np.array([*self.missing.values()]).T, axis=0, return_inverse=True)
-        order = np.argsort(-np.bincount(of.ravel()), kind="stable")
-        return {tuple(sorted(names[drawn[k]].tolist())): of.ravel() == k for k in order}
-
-    def draws(self, name: str) -> Float[np.ndarray, " n"]:
-        """Of one parameter; of an effect's size, those in which it is missing, if there are any."""
-        space = self.fit.simulator.space
-        values = self.theta[:, space.column(name)]
-        sizes = [p.name for p in self.expansion.sizes]
-        chosen = self.included[:, sizes.index(name)] if name in sizes else np.ones(len(values), dtype=bool)
-        return values[chosen] if chosen.any() else values
 
 
 @dataclass(frozen=True)
@@ -167,27 +109,116 @@ def expand_and_prune(
 
     None where the expanded model cannot be simulated.
     """
-    now, found = _Round.first(base, Expansion.of(base.simulator.space, known, prior)), list[Pruned]()
-    sleeping = [d.parameter for d in known if d.asleep and not d.clocked]
-    shared, tried = Shared(spikes=(prior.negligible,)), list[list[Response]]()
+    now = _Round.first(base, Expansion.of(base.simulator.space, known, prior))
+    fit = now.first_fit([d.parameter for d in known if d.asleep and not d.clocked])
+    if fit is None:
+        return None
+    asked, told = _Asked.about(fit, base.observation.observed, naming, prior, rng), list[_Told]()
     for k in range(budget.rounds):
-        fit = now.fitted() if k > 0 else now.first_fit(sleeping)
-        if fit is None:
-            break
-        fit = replace(fit, observation=replace(fit.observation, observed=base.observation.observed))
-        fits = [fit, *_further(fit, naming)]
-        tried = tried or [responses(one) for one in fits]
-        off = [discrepancies(one, them) for one, them in zip(fits, tried, strict=False)]
-        about = [to_nulls(now.expansion, one) for one in fits]
-        problem = linear_gaussian(now.expansion, [*zip(about, map(_columns, off), strict=False)])
-        groups, last = groups_of(now.expansion, problem, prior), k >= budget.rounds - budget.pooled
-        drawn = sample(problem.H, problem.b, groups, shared, budget.last if last else budget.first, rng)
-        found += [_pruned(now.expansion, fit, off[0], drawn, problem)] if last else []
-        now = _again(now, fit, off[0], drawn)
+        last = k >= budget.rounds - budget.pooled
+        one = asked.told(now, fit, budget.last if last else budget.first)
+        told += [one] if last else []
+        now = one.again()
         if k == 0:
-            spans = likeliest_spans(fit, known)
-            now = now.widened(Expansion.of(base.simulator.space, known, prior, spans))
-    return _pooled(found) if found else None
+            now = now.widened(Expansion.of(base.simulator.space, known, prior, likeliest_spans(one.fit, known)))
+        if k + 1 < budget.rounds and (fit := now.fitted()) is None:
+            break
+    if not told:
+        return None
+    for effect in told[-1].named[: budget.without]:
+        told += asked.without(effect, told[-1], budget)
+    return pooled([one.pruned for one in told], [one.log_joint for one in told])
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What a linearisation tells: about which fit, with the columns of its discrepancies, and what was drawn."""
+
+    now: _Round
+    fit: Fit
+    off: list[Discrepancy]
+    problem: LinearGaussian
+    drawn: Sampled
+
+    @property
+    def log_joint(self) -> Float[np.ndarray, " n"]:
+        """What each draw's state is worth, comparable with those of other linearisations."""
+        return self.problem.at_rest + self.drawn.log_joint
+
+    @cached_property
+    def pruned(self) -> Pruned:
+        expansion, drawn, space = self.now.expansion, self.drawn, self.now.expansion.space
+        named, first = len(expansion.groups), len(expansion.unit)
+        included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
+        discrepant = drawn.included[:, named:] & (drawn.amplitude[:, named:] >= plain_from(expansion, self.problem))
+        left = remainders(self.fit, self.off, drawn.coefficient[:, first:], discrepant)
+        theta, shows = _theta(expansion, drawn.coefficient), showing(expansion, self.problem)
+        beyond = ((theta < space.low) | (theta > space.high)).mean(axis=0)
+        within = folded(theta, space.low, space.high)
+        return Pruned(expansion, within, included, discrepant, beyond, shows, self.fit, left)
+
+    @property
+    def named(self) -> list[str]:
+        """Effects that are likely to be missing, the likeliest first."""
+        return [effect for effect, p in self.pruned.effects.items() if p > LIKELY]
+
+    def again(self) -> _Round:
+        """Where to fit next, how strongly to shrink, and what was recorded less the discrepancy that was found."""
+        expansion, fit, x = self.now.expansion, self.fit, self.drawn.coefficient
+        first = len(expansion.unit)
+        rms = np.maximum(np.sqrt(np.mean(x[:, first - len(expansion.sizes) : first] ** 2, axis=0)), LEAST_RMS)
+        mean, series = x.mean(axis=0, keepdims=True), np.zeros_like(fit.at.y)
+        for one, (c,) in zip(self.off, parts(mean[:, first:], self.off), strict=True):
+            series += np.tensordot(c, one.series, axes=1)
+        observed = np.where(fit.simulator.windows.valid, fit.observation.observed - series, 0.0)
+        observation, space = replace(fit.observation, observed=observed), expansion.space
+        shrunk = replace(fit, observation=observation, shrinkage=Shrinkage(expansion.rest, expansion.precision(rms)))
+        start = _likeliest_before(shrunk, np.clip(_theta(expansion, mean)[0], space.low, space.high))
+        return _Round(expansion, start, rms, observation)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What all linearisations are asked with: what was recorded, what the discrepancies do to each recording (they
+    hardly depend on the fit), recordings that help to name, and what is believed."""
+
+    observed: Float[np.ndarray, "channels time"]
+    tried: list[list[Response]]
+    naming: Observation | None
+    prior: EffectPrior
+    rng: np.random.Generator
+
+    @classmethod
+    def about(
+        cls,
+        fit: Fit,
+        observed: Float[np.ndarray, "channels time"],
+        naming: Observation | None,
+        prior: EffectPrior,
+        rng: np.random.Generator,
+    ) -> "_Asked":
+        return cls(observed, [responses(one) for one in (fit, *_further(fit, naming))], naming, prior, rng)
+
+    def told(self, now: _Round, fit: Fit, chain: Chain, effect: str = "") -> _Told:
+        """What the linear model about a fit tells; that one effect is as good as certain not to be there, if any."""
+        fit = replace(fit, observation=replace(fit.observation, observed=self.observed))
+        fits, expansion = [fit, *_further(fit, self.naming)], now.expansion
+        off = [discrepancies(one, them) for one, them in zip(fits, self.tried, strict=False)]
+        about = [to_nulls(expansion, one, effect) for one in fits]
+        problem = linear_gaussian(expansion, [*zip(about, map(_columns, off), strict=False)])
+        groups = groups_of(expansion, problem, self.prior)
+        out = np.zeros(len(groups.stop), dtype=bool)
+        out[: len(expansion.groups)] = [name == effect for name in expansion.grouped]
+        shared = Shared(spikes=(self.prior.negligible,))
+        drawn = sample(problem.H, problem.b, groups.without(out), shared, chain, self.rng)
+        return _Told(now, fit, off[0], problem, drawn)
+
+    def without(self, effect: str, last: _Told, budget: Budget) -> list[_Told]:
+        """About the likeliest point without an effect: what else may be in its place, which a linear model about a
+        fit with it does not see. Empty where it cannot be simulated."""
+        now = self.told(last.now, last.fit, budget.first, effect).again()
+        fit = now.fitted()
+        return [] if fit is None else [self.told(now, fit, budget.last)]
 
 
 def _by_name(
@@ -225,52 +256,7 @@ def _theta(expansion: Expansion, coefficient: Float[np.ndarray, "n columns"]) ->
     return expansion.theta(c)
 
 
-def folded(
-    theta: Float[np.ndarray, "n d"], low: Float[np.ndarray, " d"], high: Float[np.ndarray, " d"]
-) -> Float[np.ndarray, "n d"]:
-    """What lies beyond a bound, as far within it, so that it keeps its spread: cut off, it would pile up at the bound
-    and look sure, where it tells that the model is wrong."""
-    mirrored = np.where(theta < low, 2.0 * low - theta, np.where(theta > high, 2.0 * high - theta, theta))
-    return np.clip(mirrored, low, high)
-
-
-def _pruned(
-    expansion: Expansion, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled, problem: LinearGaussian
-) -> Pruned:
-    named, first, shows = len(expansion.groups), len(expansion.unit), showing(expansion, problem)
-    included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
-    discrepant = drawn.included[:, named:] & (drawn.amplitude[:, named:] >= plain_from(expansion, problem))
-    left = remainders(fit, here, drawn.coefficient[:, first:], discrepant)
-    theta, space = _theta(expansion, drawn.coefficient), expansion.space
-    beyond = ((theta < space.low) | (theta > space.high)).mean(axis=0)
-    return Pruned(expansion, folded(theta, space.low, space.high), included, discrepant, beyond, shows, fit, left)
-
-
-def _again(now: _Round, fit: Fit, here: Sequence[Discrepancy], drawn: Sampled) -> _Round:
-    """Where to fit next, how strongly to shrink, and what was recorded less the discrepancy that was found."""
-    expansion, x = now.expansion, drawn.coefficient
-    first = len(expansion.unit)
-    rms = np.maximum(np.sqrt(np.mean(x[:, first - len(expansion.sizes) : first] ** 2, axis=0)), LEAST_RMS)
-    mean, series = x.mean(axis=0, keepdims=True), np.zeros_like(fit.at.y)
-    for one, (c,) in zip(here, parts(mean[:, first:], here), strict=True):
-        series += np.tensordot(c, one.series, axes=1)
-    observed = np.where(fit.simulator.windows.valid, fit.observation.observed - series, 0.0)
-    observation, space = replace(fit.observation, observed=observed), expansion.space
-    shrunk = replace(fit, observation=observation, shrinkage=Shrinkage(expansion.rest, expansion.precision(rms)))
-    start = _likeliest_before(shrunk, np.clip(_theta(expansion, mean)[0], space.low, space.high))
-    return _Round(expansion, start, rms, observation)
-
-
 def _likeliest_before(fit: Fit, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
     """The likeliest of some points on the way from a fit to theta, which first order promises more of than is true."""
     points = fit.theta + np.array([*SHARES, 0.0])[:, None] * (theta - fit.theta)
     return points[int(np.argmin(fit.costs(points, fit.simulator.noise_free(points))))]
-
-
-def _pooled(found: Sequence[Pruned]) -> Pruned:
-    """Draws of several rounds together."""
-    theta, included, discrepant = (
-        np.concatenate([getattr(one, name) for one in found]) for name in ("theta", "included", "discrepant")
-    )
-    beyond = np.mean([one.beyond for one in found], axis=0)
-    return replace(found[-1], theta=theta, included=included, discrepant=discrepant, beyond=beyond)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.model import Model
-from vehicle_sbi.mismatch.selection.expand_and_prune import Pruned
+from vehicle_sbi.mismatch.selection.pruned import Pruned
 
 ALIKE = 0.05  # least probability of an effect that may stand for another
 INSTEAD = -0.3  # correlation of two effects' being there, from which they stand for each other

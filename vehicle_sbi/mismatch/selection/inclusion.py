@@ -18,7 +18,7 @@ sum_i [ - 1/2 log(1 + d e_i) - 1/2 d u_i^2 / (1 + d e_i) ] + q/2 log(ratio of pr
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -29,6 +29,7 @@ from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
 REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
 LEAST = 1e-9  # part of its precision that a direction keeps, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
+NEVER = 1e-30  # rate of what is not to be there
 SWAPS = 6  # of two groups' states, tried in a sweep
 
 
@@ -73,6 +74,10 @@ class Groups:
             sign=np.concatenate([np.zeros(start, dtype=np.int64), *(one.sign for one in believed)]),
         )
 
+    def without(self, out: Bool[np.ndarray, " k"]) -> "Groups":
+        """With some groups that are as good as certain not to be there."""
+        return replace(self, rate=np.where(out, NEVER, self.rate))
+
 
 def _levels(first: float, others: Float[np.ndarray, " given"], most: int) -> Float[np.ndarray, " levels"]:
     """Values of the first level, of the others that there are, and 0 for the rest."""
@@ -92,11 +97,13 @@ class Shared:
 @dataclass(frozen=True)
 class Sampled:
     """States and coefficients that were kept: `level` of each group, its `amplitude` there (of a named group in its
-    spike in units of what is negligible), `coefficient` of each column."""
+    spike in units of what is negligible), `coefficient` of each column, and of each state the log of its evidence and
+    prior, but for what all states of a problem share."""
 
     level: Int[np.ndarray, "n k"]
     amplitude: Float[np.ndarray, "n k"]
     coefficient: Float[np.ndarray, "n columns"]
+    log_joint: Float[np.ndarray, " n"]
 
     @property
     def included(self) -> Bool[np.ndarray, "n k"]:
@@ -124,8 +131,8 @@ def sample(
                 int(rng.integers(2**31)),
             )
         )  # fmt: skip
-    level, coefficient = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return Sampled(level, groups.amplitude[np.arange(len(groups.stop)), level], coefficient)
+    level, coefficient, log_joint = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return Sampled(level, groups.amplitude[np.arange(len(groups.stop)), level], coefficient, log_joint)
 
 
 @njit(cache=True)
@@ -303,7 +310,7 @@ def _run(
     H, b, start, stop, amplitude, share, rate, named, sign, spikes, missings, discrepants, begin, sweeps,
     forgotten, every, seed,
 ):  # fmt: skip
-    """One chain; levels and coefficients of every so many sweeps."""
+    """One chain; levels, coefficients and the log of evidence times prior of every so many sweeps."""
     np.random.seed(seed)
     n, k = len(b), len(stop)
     level, slab = begin.copy(), np.zeros(n)
@@ -314,9 +321,10 @@ def _run(
         first[g] = start if g == 0 else stop[g - 1]
         precision[first[g] : stop[g]] = (amplitude[g, level[g]] * (spike if named[g] and level[g] == 0 else 1.0)) ** -2
         slab[first[g] : stop[g]] = _width(g, level[g], first[g], stop[g], amplitude, named)
-    S, m, _ = _factorised(H, b, precision)
+    S, m, evidence = _factorised(H, b, precision)
+    evidence += _slabs(m, S, sign, slab)
     kept = (sweeps - forgotten) // every
-    levels, values = np.zeros((kept, k), np.int64), np.zeros((kept, n))
+    levels, values, joint = np.zeros((kept, k), np.int64), np.zeros((kept, n)), np.zeros(kept)
     row = 0
     for sweep in range(sweeps):
         for _ in range(k):
@@ -324,17 +332,19 @@ def _run(
             weight = _level_evidence(
                 g, first[g], stop[g], level[g], precision, S, m, amplitude, spike, named, sign, slab
             )
+            told = weight.copy()
             odds = rate[g] / (1.0 - rate[g]) * (missing if named[g] else discrepant)
             for one in range(1, len(weight)):
                 weight[one] += math.log(odds * share[g, one]) if share[g, one] > 0.0 else -np.inf
             to = _chosen(weight)
             if to != level[g]:
+                evidence += told[to] - told[level[g]]
                 sd = amplitude[g, to] * (spike if named[g] and to == 0 else 1.0)
                 _set_level(first[g], stop[g], sd**-2, precision, S, m)
                 level[g] = to
                 slab[first[g] : stop[g]] = _width(g, to, first[g], stop[g], amplitude, named)
         for _ in range(SWAPS):
-            _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike)
+            evidence += _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike)
         if sweep % REFRESHED == 0:
             best = np.zeros(len(spikes))
             for one in range(len(spikes) if len(spikes) > 1 else 0):  # a single one is not weighed
@@ -348,26 +358,29 @@ def _run(
             for g in range(k):
                 if named[g] and level[g] == 0:
                     precision[first[g] : stop[g]] = (amplitude[g, 0] * spike) ** -2
-            S, m, _ = _factorised(H, b, precision)
+            S, m, evidence = _factorised(H, b, precision)
+            evidence += _slabs(m, S, sign, slab)
         tried = np.array([_log_prior(level, share, rate, named, one, discrepant) for one in missings])
         missing = missings[_chosen(tried)]
         tried = np.array([_log_prior(level, share, rate, named, missing, one) for one in discrepants])
         discrepant = discrepants[_chosen(tried)]
         if sweep >= forgotten and (sweep - forgotten) % every == 0 and row < kept:
             levels[row], values[row] = level, _drawn(H, precision, m, sign, slab)
+            joint[row] = evidence + _log_prior(level, share, rate, named, missing, discrepant)
             row += 1
-    return levels, values
+    return levels, values, joint
 
 
 @njit(cache=True)
 def _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike):
-    """Exchange one group that is in for another that is out, if Metropolis and Hastings accept it."""
+    """Exchange one group that is in for another that is out, if Metropolis and Hastings accept it; by how much the log
+    evidence changes."""
     k = len(stop)
     g, h = np.random.randint(k), np.random.randint(k)
     if not (named[g] and named[h]) or level[g] == 0 or level[h] > 0 or stop[g] - first[g] != stop[h] - first[h]:
-        return
+        return 0.0
     if share[h, level[g]] <= 0.0:
-        return
+        return 0.0
     before = level[g]
     before_g = precision[first[g]]
     gained = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, spike, named, sign, slab)
@@ -376,12 +389,14 @@ def _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, si
     slab[first[g] : stop[g]] = 0.0
     gained = _level_evidence(h, first[h], stop[h], level[h], precision, S, m, amplitude, spike, named, sign, slab)
     ratio += gained[before] - gained[0]
+    change = ratio
     ratio += math.log(rate[h] / (1.0 - rate[h]) * share[h, before])
     ratio -= math.log(rate[g] / (1.0 - rate[g]) * share[g, before])
     if math.log(np.random.random()) < ratio:
         _set_level(first[h], stop[h], amplitude[h, before] ** -2, precision, S, m)
         slab[first[h] : stop[h]] = _width(h, before, first[h], stop[h], amplitude, named)
         level[g], level[h] = 0, before
-        return
+        return change
     _set_level(first[g], stop[g], before_g, precision, S, m)
     slab[first[g] : stop[g]] = _width(g, before, first[g], stop[g], amplitude, named)
+    return 0.0
