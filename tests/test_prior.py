@@ -26,7 +26,7 @@ def test_a_box_holds_what_the_file_states() -> None:
     space = parameter_space(
         {"l_f": [1, 1.5], "body_roll": {"gradient": [0.0, 0.01]}}, vehicle=PAPER, model="single_track"
     )
-    assert space.names == ("l_f", "body_roll.gradient")
+    assert space.names == ("l_f", "body_roll.gradient", "body_roll.period")
     np.testing.assert_array_equal(space.low, [1.0, 0.0])
     np.testing.assert_array_equal(space.high, [1.5, 0.01])
     prior = box(space)
@@ -62,7 +62,7 @@ def test_an_effect_brings_its_parameters_unless_the_prior_narrows_them(name: str
 def test_null_keeps_a_parameter_of_an_effect_where_the_effect_vanishes() -> None:
     prior = {"l_f": [1.0, 1.5], "body_roll": {"lag": None}}
     space = parameter_space(prior, vehicle=PAPER, model="single_track", effects=["body_roll"])
-    assert space.names == ("l_f", "body_roll.gradient")
+    assert space.names == ("l_f", "body_roll.gradient", "body_roll.period")
 
 
 def test_what_the_vehicle_file_leaves_out_gets_a_generic_prior() -> None:
@@ -71,6 +71,19 @@ def test_what_the_vehicle_file_leaves_out_gets_a_generic_prior() -> None:
     assert space.names == ("l_f", "C_alpha_f", "mu")
     assert space.parameters[0].high == 1.5
     assert space.parameters[1:] == (GENERIC_PRIORS["C_alpha_f"], GENERIC_PRIORS["mu"])
+
+
+def test_the_usual_box_of_where_the_mass_is_follows_the_wheelbase_that_of_a_stiffness_the_mass() -> None:
+    prior = {"l_f": "usual", "C_alpha_f": "usual"}
+    for m, L, heavier in ((1500.0, 2.7, 1.0), (7000.0, 3.4, 2.0), (1.58, 0.25, 1.58 / 700.0)):
+        car = replace(PAPER, m=m, L=L)
+        l_f, stiffness = parameter_space(prior, vehicle=car, model="single_track").parameters
+        assert (l_f.low, l_f.high) == pytest.approx((0.35 * L, 0.65 * L))
+        usual = GENERIC_PRIORS["C_alpha_f"]
+        assert (stiffness.low, stiffness.high) == pytest.approx((heavier * usual.low, heavier * usual.high))
+    unknown = replace(PAPER, L=None, l_f=None)
+    space = parameter_space({"l_f": "usual"}, vehicle=unknown, model="single_track")
+    assert space.parameters[0] == GENERIC_PRIORS["l_f"]
 
 
 def test_a_vehicle_without_any_constant_can_be_inferred_from_generic_priors() -> None:

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import logsumexp
 
 from vehicle_sbi.inference.directions import Direction, middle
 from vehicle_sbi.inference.effect_prior import EffectPrior
@@ -49,7 +50,7 @@ LEAST_RMS = 0.02  # typical sizes, within which an effect that is out is held
 @dataclass(frozen=True, kw_only=True)
 class Budget:
     """Rounds of fit and sampling, from which of the last ones draws are pooled, how many of the effects that are likely
-    are left out once, and the chains of what is pooled and of what only says where to fit again."""
+    are left out once, and the chains of the last rounds and of all others."""
 
     rounds: int = 3
     pooled: int = 2
@@ -125,9 +126,8 @@ def expand_and_prune(
             break
     if not told:
         return None
-    for effect in told[-1].named[: budget.without]:
-        told += asked.without(effect, told[-1], budget)
-    return pooled([one.pruned for one in told], [one.log_joint for one in told])
+    told += asked.elsewhere(max(told, key=_worth), budget)
+    return pooled([one.pruned for one in told], [one.worth for one in told])
 
 
 @dataclass(frozen=True)
@@ -140,10 +140,11 @@ class _Told:
     problem: LinearGaussian
     drawn: Sampled
 
-    @property
-    def log_joint(self) -> Float[np.ndarray, " n"]:
-        """What each draw's state is worth, comparable with those of other linearisations."""
-        return self.problem.at_rest + self.drawn.log_joint
+    @cached_property
+    def worth(self) -> float:
+        """Log of evidence times prior, on average over the states that were drawn."""
+        log_joint = self.drawn.log_joint
+        return self.problem.at_rest + float(logsumexp(log_joint) - np.log(len(log_joint)))
 
     @cached_property
     def pruned(self) -> Pruned:
@@ -213,12 +214,26 @@ class _Asked:
         drawn = sample(problem.H, problem.b, groups.without(out), shared, chain, self.rng)
         return _Told(now, fit, off[0], problem, drawn)
 
-    def without(self, effect: str, last: _Told, budget: Budget) -> list[_Told]:
-        """About the likeliest point without an effect: what else may be in its place, which a linear model about a
-        fit with it does not see. Empty where it cannot be simulated."""
-        now = self.told(last.now, last.fit, budget.first, effect).again()
+    def elsewhere(self, best: _Told, budget: Budget) -> list[_Told]:
+        """What may be in the place of each effect that is likely, and the round after the one that is worth most."""
+        found = [one for effect in best.named[: budget.without] for one in self.without(effect, best, budget)]
+        most = max([best, *found], key=_worth)
+        if most is best:
+            return found
+        now = most.again()
         fit = now.fitted()
-        return [] if fit is None else [self.told(now, fit, budget.last)]
+        return found if fit is None else [*found, self.told(now, fit, budget.last)]
+
+    def without(self, effect: str, best: _Told, budget: Budget) -> list[_Told]:
+        """About the likeliest point without an effect, which a linear model about a fit with it does not see; empty
+        where it cannot be simulated."""
+        now = self.told(best.now, best.fit, budget.first, effect).again()
+        fit = now.fitted()
+        return [] if fit is None else [self.told(now, fit, budget.first)]
+
+
+def _worth(one: _Told) -> float:
+    return one.worth
 
 
 def _by_name(

@@ -1,8 +1,8 @@
 """What is found with every effect free at once, said of draws from the posterior.
 
-A linearisation tells what is true near its fit. Draws of several are pooled, each in proportion to what its states are
-worth: the sum of evidence times prior over the states that its chains have kept, as many of each, which is a lower
-bound of the evidence of all states.
+A linearisation tells what is true near its fit. Draws of several are pooled by what their states are worth, the log of
+evidence times prior on average over the states that were drawn. Linear models being as inexact as they are, worths that
+differ by what is just seen count as different by one.
 """
 
 import itertools
@@ -12,11 +12,13 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.special import logsumexp
 
+from vehicle_sbi.inference.information import SEEN
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
+
+EXACT = 0.5 * SEEN**2  # log likelihood that an effect adds which is just seen
 
 
 @dataclass(frozen=True)
@@ -88,18 +90,17 @@ def folded(
     return np.clip(mirrored, low, high)
 
 
-def pooled(found: Sequence[Pruned], log_joint: Sequence[Float[np.ndarray, " n"]]) -> Pruned:
-    """Draws of several linearisations in one, as many as the first two have; `log_joint` (n) says what each draw's
-    state is worth. What is left over is said of the one that is worth most."""
-    worth = np.array([logsumexp(one) for one in log_joint])
-    weight = np.repeat(np.exp(worth - worth.max()) / [len(one) for one in log_joint], [len(one) for one in log_joint])
-    drawn = _evenly(weight, sum(len(one) for one in log_joint[:2]))
+def pooled(found: Sequence[Pruned], worth: Sequence[float]) -> Pruned:
+    """Draws of several linearisations in one, as many as the first two have; what is left over is said of the one that
+    is worth most."""
+    number, best = [len(one.theta) for one in found], int(np.argmax(worth))
+    share = np.exp((np.array(worth) - worth[best]) / EXACT)
+    drawn = _evenly(np.repeat(share / number, number), sum(number[:2]))
     theta, included, discrepant = (
         np.concatenate([getattr(one, name) for one in found])[drawn] for name in ("theta", "included", "discrepant")
     )
-    beyond = np.average([one.beyond for one in found], axis=0, weights=np.exp(worth - worth.max()))
-    best = found[int(np.argmax(worth))]
-    return replace(best, theta=theta, included=included, discrepant=discrepant, beyond=beyond)
+    beyond = np.average([one.beyond for one in found], axis=0, weights=share)
+    return replace(found[best], theta=theta, included=included, discrepant=discrepant, beyond=beyond)
 
 
 def _evenly(weight: Float[np.ndarray, " n"], number: int) -> Int[np.ndarray, " number"]:
