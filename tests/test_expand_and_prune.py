@@ -28,7 +28,7 @@ from vehicle_sbi.mismatch.selection.expand_and_prune import (
 )
 from vehicle_sbi.mismatch.selection.extended import with_effects
 from vehicle_sbi.mismatch.selection.inclusion import Chain
-from vehicle_sbi.mismatch.selection.pruned import Pruned, folded, pooled
+from vehicle_sbi.mismatch.selection.pruned import Pruned, folded
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
 
@@ -184,37 +184,6 @@ def test_a_discrepancy_s_columns_are_what_its_series_do_in_units_of_the_noise(
     for one in discrepant:
         white = fit.metric(one.series).reshape(len(one.series), -1)
         assert white == pytest.approx(one.whitened, abs=1e-6 * np.abs(one.whitened).max())
-
-
-@pytest.mark.parametrize(("more", "share"), [(0.0, 0.5), (0.5 * SEEN**2 * np.log(3.0), 0.75), (90.0, 1.0)])
-def test_linearisations_count_by_what_their_states_are_worth(pruned: Pruned, more: float, share: float) -> None:
-    # Of 40 draws of one and 120 of another, the number itself is worth nothing.
-    rows = [replace(pruned, theta=np.full((n, 2), x), included=pruned.included[:n], discrepant=pruned.discrepant[:n])
-            for n, x in ((40, 1.0), (120, 2.0))]  # fmt: skip
-    found = pooled(rows, [more - 900.0, -900.0])
-    assert len(found.theta) == 160
-    assert (found.theta[:, 0] == 1.0).mean() == pytest.approx(share, abs=1.0 / 160)
-
-
-def test_without_what_was_left_out_once_the_model_of_the_fit_has_its_whole_way_back(
-    expanded: tuple[Expansion, Fit],
-) -> None:
-    expansion, fit = expanded
-    own, c = len(expansion.base), expansion.coefficients(fit.theta)
-    plain = [
-        k for k in own + np.flatnonzero(np.abs(c[own : own + len(expansion.sizes)]) > 0.1)
-        if (to_nulls(expansion, fit).at.J[k] == fit.at.J[k]).all()
-    ]  # fmt: skip
-    assert plain
-    for k in plain:
-        effect = expansion.space.names[k].split(".")[0]
-        back = np.where(np.arange(len(c)) == k, expansion.rest, fit.theta)
-        asked = to_nulls(expansion, fit, effect).at.J[k]
-        step = -c[k] * expansion.slope(fit.theta)[k] / fit.simulator.space.prior_std[k]
-        valid = fit.simulator.windows.valid
-        np.testing.assert_allclose(
-            (fit.at.y + step * asked)[valid], fit.simulator.noise_free(back[None])[0][valid], atol=1e-9
-        )
 
 
 def test_what_is_missing_is_named_and_its_sizes_hold(pruned: Pruned) -> None:

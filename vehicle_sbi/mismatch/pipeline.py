@@ -75,7 +75,7 @@ def steps(
     known = keep("directions", list[Direction], lambda: left_out(base.simulator, base.theta))
     seen = keep("separability", Card, lambda: card(base.simulator, base.theta, known))
     examined = keep("examined", Examined, lambda: examine(base, seen.visible(known), draws))
-    enough = budget if examined.detected else replace(budget, rounds=1, pooled=1, without=0)
+    enough = budget if examined.detected else replace(budget, rounds=1, pooled=1)
     at_once = keep(
         "pruned",
         AtOnce,

@@ -114,12 +114,6 @@ class Expansion:
         return [len([*same]) for _, same in itertools.groupby(of)]
 
     @property
-    def grouped(self) -> list[str]:
-        """The effect of each of those groups."""
-        firsts = np.cumsum([0, *self.groups[:-1]])
-        return [self.sizes[first].name.split(".")[0] for first in firsts] if self.sizes else []
-
-    @property
     def probabilities(self) -> dict[str, float]:
         """How often cars have each effect, by any of its sizes; those of a profile over time are missing together."""
         firsts, spared = np.cumsum([0, *self.groups[:-1]]), dict[str, float]()

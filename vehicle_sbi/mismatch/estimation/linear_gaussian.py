@@ -22,12 +22,11 @@ LEAST = 0.1  # coefficient of a size, from which an effect's derivative is taken
 @dataclass(frozen=True)
 class LinearGaussian:
     """Products H = X X' and b = X r of columns: base parameters, shapes, sizes, then groups of discrepancies, each of
-    which ends at one of `stop`; and the log density of what was recorded if all coefficients are zero."""
+    which ends at one of `stop`."""
 
     H: Float[np.ndarray, "n n"]
     b: Float[np.ndarray, " n"]
     stop: Int[np.ndarray, " groups"]
-    at_rest: float = 0.0
 
 
 def linear_gaussian(
@@ -38,24 +37,23 @@ def linear_gaussian(
     first = len(expansion.unit)
     widths = [len(one) for _, found in parts for one in found]
     n = first + sum(widths)
-    H, b, at, at_rest = np.zeros((n, n)), np.zeros(n), first, 0.0
+    H, b, at = np.zeros((n, n)), np.zeros(n), first
     for fit, found in parts:
         X, r = _columns(expansion, fit)
         X = np.concatenate([X, *found])
         where = np.concatenate([np.arange(first), at + np.arange(len(X) - first)])
         H[np.ix_(where, where)] += X @ X.T
         b[where] += X @ r
-        at, at_rest = at + len(X) - first, at_rest - 0.5 * float(r @ r) - float(fit.metric.log_scale.sum())
-    return LinearGaussian(H, b, first + np.cumsum(widths, dtype=np.int64), at_rest)
+        at += len(X) - first
+    return LinearGaussian(H, b, first + np.cumsum(widths, dtype=np.int64))
 
 
-def to_nulls(expansion: Expansion, fit: Fit, effect: str = "") -> Fit:
+def to_nulls(expansion: Expansion, fit: Fit) -> Fit:
     """The fit with derivatives by some sizes taken over all of the way back to their nulls, in a simulation each.
 
     Whether an effect is missing is asked about that step, which may change far less than its slope at the fit says: a
     friction of half the stated one is steep where tyres slide, and flat before. Where the step is plain to see beside
-    the base parameters, the effect is there in any case, and its slope at the fit says how large it is; but for one
-    `effect` that is to be asked about all the same.
+    the base parameters, the effect is there in any case, and its slope at the fit says how large it is.
     """
     simulator, own, c = fit.simulator, len(expansion.base), expansion.coefficients(fit.theta)
     away = own + np.flatnonzero(np.abs(c[own : own + len(expansion.sizes)]) > LEAST)
@@ -67,9 +65,8 @@ def to_nulls(expansion: Expansion, fit: Fit, effect: str = "") -> Fit:
     absorbing, _ = np.linalg.qr(fit.metric(fit.at.J[:own]).reshape(own, -1).T)
     J = fit.at.J.copy()
     for k, step in zip(away.tolist(), steps, strict=True):
-        white, asked = fit.metric(step).reshape(-1), simulator.space.names[k].split(".")[0] == effect
-        plain = np.linalg.norm(white - absorbing @ (white @ absorbing)) >= PLAIN
-        if np.isfinite(step).all() and (asked or not plain):
+        white = fit.metric(step).reshape(-1)
+        if np.isfinite(step).all() and np.linalg.norm(white - absorbing @ (white @ absorbing)) < PLAIN:
             J[k] = step / c[k] * per_coefficient[k]
     return replace(fit, at=replace(fit.at, J=J))
 

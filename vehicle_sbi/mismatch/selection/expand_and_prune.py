@@ -2,18 +2,15 @@
 
 The model with every effect in is fitted under shrinkage, and made linear there; which of its columns are needed, and
 how large they are, is sampled (`inclusion`). What was found says where to fit again, and how strongly to shrink: an
-effect that is out is held to its null, the discrepancy that was found is taken off what was recorded. Then each effect
-that is likely to be missing is left out once, and what else may be in its place is fitted and sampled anew. Draws of
-the last rounds and of these are pooled, since none of their linear models is the right one.
+effect that is out is held to its null, the discrepancy that was found is taken off what was recorded. Draws of the
+last rounds are pooled, since none of their linear models is the right one.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import logsumexp
 
 from vehicle_sbi.inference.directions import Direction, middle
 from vehicle_sbi.inference.effect_prior import EffectPrior
@@ -43,18 +40,16 @@ from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Sha
 from vehicle_sbi.mismatch.selection.pruned import Pruned, folded, pooled
 from vehicle_sbi.parameters import Parameter
 
-LIKELY = 0.5  # probability from which it is asked what would be in an effect's place
 LEAST_RMS = 0.02  # typical sizes, within which an effect that is out is held
 
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Rounds of fit and sampling, from which of the last ones draws are pooled, how many of the effects that are likely
-    are left out once, and the chains of the last rounds and of all others."""
+    """Rounds of fit and sampling, from which of the last ones draws are pooled, and the chains of those and of the ones
+    before, which only say where to fit again."""
 
     rounds: int = 3
     pooled: int = 2
-    without: int = 20
     first: Chain = field(default_factory=lambda: Chain(chains=2, sweeps=120, forgotten=40, every=2))
     last: Chain = field(default_factory=lambda: Chain(chains=2, sweeps=240, forgotten=80, every=2))
 
@@ -124,10 +119,7 @@ def expand_and_prune(
             now = now.widened(Expansion.of(base.simulator.space, known, prior, likeliest_spans(one.fit, known)))
         if k + 1 < budget.rounds and (fit := now.fitted()) is None:
             break
-    if not told:
-        return None
-    told += asked.elsewhere(max(told, key=_worth), budget)
-    return pooled([one.pruned for one in told], [one.worth for one in told])
+    return pooled([one.pruned for one in told]) if told else None
 
 
 @dataclass(frozen=True)
@@ -140,13 +132,7 @@ class _Told:
     problem: LinearGaussian
     drawn: Sampled
 
-    @cached_property
-    def worth(self) -> float:
-        """Log of evidence times prior, on average over the states that were drawn."""
-        log_joint = self.drawn.log_joint
-        return self.problem.at_rest + float(logsumexp(log_joint) - np.log(len(log_joint)))
-
-    @cached_property
+    @property
     def pruned(self) -> Pruned:
         expansion, drawn, space = self.now.expansion, self.drawn, self.now.expansion.space
         named, first = len(expansion.groups), len(expansion.unit)
@@ -157,11 +143,6 @@ class _Told:
         beyond = ((theta < space.low) | (theta > space.high)).mean(axis=0)
         within = folded(theta, space.low, space.high)
         return Pruned(expansion, within, included, discrepant, beyond, shows, self.fit, left)
-
-    @property
-    def named(self) -> list[str]:
-        """Effects that are likely to be missing, the likeliest first."""
-        return [effect for effect, p in self.pruned.effects.items() if p > LIKELY]
 
     def again(self) -> _Round:
         """Where to fit next, how strongly to shrink, and what was recorded less the discrepancy that was found."""
@@ -200,40 +181,15 @@ class _Asked:
     ) -> "_Asked":
         return cls(observed, [responses(one) for one in (fit, *_further(fit, naming))], naming, prior, rng)
 
-    def told(self, now: _Round, fit: Fit, chain: Chain, effect: str = "") -> _Told:
-        """What the linear model about a fit tells; that one effect is as good as certain not to be there, if any."""
+    def told(self, now: _Round, fit: Fit, chain: Chain) -> _Told:
+        """What the linear model about a fit tells."""
         fit = replace(fit, observation=replace(fit.observation, observed=self.observed))
         fits, expansion = [fit, *_further(fit, self.naming)], now.expansion
         off = [discrepancies(one, them) for one, them in zip(fits, self.tried, strict=False)]
-        about = [to_nulls(expansion, one, effect) for one in fits]
+        about = [to_nulls(expansion, one) for one in fits]
         problem = linear_gaussian(expansion, [*zip(about, map(_columns, off), strict=False)])
-        groups = groups_of(expansion, problem, self.prior)
-        out = np.zeros(len(groups.stop), dtype=bool)
-        out[: len(expansion.groups)] = [name == effect for name in expansion.grouped]
-        shared = Shared(spikes=(self.prior.negligible,))
-        drawn = sample(problem.H, problem.b, groups.without(out), shared, chain, self.rng)
-        return _Told(now, fit, off[0], problem, drawn)
-
-    def elsewhere(self, best: _Told, budget: Budget) -> list[_Told]:
-        """What may be in the place of each effect that is likely, and the round after the one that is worth most."""
-        found = [one for effect in best.named[: budget.without] for one in self.without(effect, best, budget)]
-        most = max([best, *found], key=_worth)
-        if most is best:
-            return found
-        now = most.again()
-        fit = now.fitted()
-        return found if fit is None else [*found, self.told(now, fit, budget.last)]
-
-    def without(self, effect: str, best: _Told, budget: Budget) -> list[_Told]:
-        """About the likeliest point without an effect, which a linear model about a fit with it does not see; empty
-        where it cannot be simulated."""
-        now = self.told(best.now, best.fit, budget.first, effect).again()
-        fit = now.fitted()
-        return [] if fit is None else [self.told(now, fit, budget.first)]
-
-
-def _worth(one: _Told) -> float:
-    return one.worth
+        groups, shared = groups_of(expansion, problem, self.prior), Shared(spikes=(self.prior.negligible,))
+        return _Told(now, fit, off[0], problem, sample(problem.H, problem.b, groups, shared, chain, self.rng))
 
 
 def _by_name(

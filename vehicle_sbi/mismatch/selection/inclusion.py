@@ -18,7 +18,7 @@ sum_i [ - 1/2 log(1 + d e_i) - 1/2 d u_i^2 / (1 + d e_i) ] + q/2 log(ratio of pr
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -29,7 +29,6 @@ from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
 REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
 LEAST = 1e-9  # part of its precision that a direction keeps, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
-NEVER = 1e-30  # rate of what is not to be there
 SWAPS = 6  # of two groups' states, tried in a sweep
 
 
@@ -74,10 +73,6 @@ class Groups:
             sign=np.concatenate([np.zeros(start, dtype=np.int64), *(one.sign for one in believed)]),
         )
 
-    def without(self, out: Bool[np.ndarray, " k"]) -> "Groups":
-        """With some groups that are as good as certain not to be there."""
-        return replace(self, rate=np.where(out, NEVER, self.rate))
-
 
 def _levels(first: float, others: Float[np.ndarray, " given"], most: int) -> Float[np.ndarray, " levels"]:
     """Values of the first level, of the others that there are, and 0 for the rest."""
@@ -97,13 +92,11 @@ class Shared:
 @dataclass(frozen=True)
 class Sampled:
     """States and coefficients that were kept: `level` of each group, its `amplitude` there (of a named group in its
-    spike in units of what is negligible), `coefficient` of each column, and of each state the log of its evidence and
-    prior, but for what all states of a problem share."""
+    spike in units of what is negligible), `coefficient` of each column."""
 
     level: Int[np.ndarray, "n k"]
     amplitude: Float[np.ndarray, "n k"]
     coefficient: Float[np.ndarray, "n columns"]
-    log_joint: Float[np.ndarray, " n"]
 
     @property
     def included(self) -> Bool[np.ndarray, "n k"]:
@@ -131,8 +124,8 @@ def sample(
                 int(rng.integers(2**31)),
             )
         )  # fmt: skip
-    level, coefficient, log_joint = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return Sampled(level, groups.amplitude[np.arange(len(groups.stop)), level], coefficient, log_joint)
+    level, coefficient = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return Sampled(level, groups.amplitude[np.arange(len(groups.stop)), level], coefficient)
 
 
 @njit(cache=True)
@@ -310,7 +303,7 @@ def _run(
     H, b, start, stop, amplitude, share, rate, named, sign, spikes, missings, discrepants, begin, sweeps,
     forgotten, every, seed,
 ):  # fmt: skip
-    """One chain; levels, coefficients and the log of evidence times prior of every so many sweeps."""
+    """One chain; levels and coefficients of every so many sweeps."""
     np.random.seed(seed)
     n, k = len(b), len(stop)
     level, slab = begin.copy(), np.zeros(n)
@@ -321,10 +314,9 @@ def _run(
         first[g] = start if g == 0 else stop[g - 1]
         precision[first[g] : stop[g]] = (amplitude[g, level[g]] * (spike if named[g] and level[g] == 0 else 1.0)) ** -2
         slab[first[g] : stop[g]] = _width(g, level[g], first[g], stop[g], amplitude, named)
-    S, m, evidence = _factorised(H, b, precision)
-    evidence += _slabs(m, S, sign, slab)
+    S, m, _ = _factorised(H, b, precision)
     kept = (sweeps - forgotten) // every
-    levels, values, joint = np.zeros((kept, k), np.int64), np.zeros((kept, n)), np.zeros(kept)
+    levels, values = np.zeros((kept, k), np.int64), np.zeros((kept, n))
     row = 0
     for sweep in range(sweeps):
         for _ in range(k):
@@ -332,19 +324,17 @@ def _run(
             weight = _level_evidence(
                 g, first[g], stop[g], level[g], precision, S, m, amplitude, spike, named, sign, slab
             )
-            told = weight.copy()
             odds = rate[g] / (1.0 - rate[g]) * (missing if named[g] else discrepant)
             for one in range(1, len(weight)):
                 weight[one] += math.log(odds * share[g, one]) if share[g, one] > 0.0 else -np.inf
             to = _chosen(weight)
             if to != level[g]:
-                evidence += told[to] - told[level[g]]
                 sd = amplitude[g, to] * (spike if named[g] and to == 0 else 1.0)
                 _set_level(first[g], stop[g], sd**-2, precision, S, m)
                 level[g] = to
                 slab[first[g] : stop[g]] = _width(g, to, first[g], stop[g], amplitude, named)
         for _ in range(SWAPS):
-            evidence += _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike)
+            _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike)
         if sweep % REFRESHED == 0:
             best = np.zeros(len(spikes))
             for one in range(len(spikes) if len(spikes) > 1 else 0):  # a single one is not weighed
@@ -358,29 +348,26 @@ def _run(
             for g in range(k):
                 if named[g] and level[g] == 0:
                     precision[first[g] : stop[g]] = (amplitude[g, 0] * spike) ** -2
-            S, m, evidence = _factorised(H, b, precision)
-            evidence += _slabs(m, S, sign, slab)
+            S, m, _ = _factorised(H, b, precision)
         tried = np.array([_log_prior(level, share, rate, named, one, discrepant) for one in missings])
         missing = missings[_chosen(tried)]
         tried = np.array([_log_prior(level, share, rate, named, missing, one) for one in discrepants])
         discrepant = discrepants[_chosen(tried)]
         if sweep >= forgotten and (sweep - forgotten) % every == 0 and row < kept:
             levels[row], values[row] = level, _drawn(H, precision, m, sign, slab)
-            joint[row] = evidence + _log_prior(level, share, rate, named, missing, discrepant)
             row += 1
-    return levels, values, joint
+    return levels, values
 
 
 @njit(cache=True)
 def _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike):
-    """Exchange one group that is in for another that is out, if Metropolis and Hastings accept it; by how much the log
-    evidence changes."""
+    """Exchange one group that is in for another that is out, if Metropolis and Hastings accept it."""
     k = len(stop)
     g, h = np.random.randint(k), np.random.randint(k)
     if not (named[g] and named[h]) or level[g] == 0 or level[h] > 0 or stop[g] - first[g] != stop[h] - first[h]:
-        return 0.0
+        return
     if share[h, level[g]] <= 0.0:
-        return 0.0
+        return
     before = level[g]
     before_g = precision[first[g]]
     gained = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, spike, named, sign, slab)
@@ -389,14 +376,12 @@ def _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, si
     slab[first[g] : stop[g]] = 0.0
     gained = _level_evidence(h, first[h], stop[h], level[h], precision, S, m, amplitude, spike, named, sign, slab)
     ratio += gained[before] - gained[0]
-    change = ratio
     ratio += math.log(rate[h] / (1.0 - rate[h]) * share[h, before])
     ratio -= math.log(rate[g] / (1.0 - rate[g]) * share[g, before])
     if math.log(np.random.random()) < ratio:
         _set_level(first[h], stop[h], amplitude[h, before] ** -2, precision, S, m)
         slab[first[h] : stop[h]] = _width(h, before, first[h], stop[h], amplitude, named)
         level[g], level[h] = 0, before
-        return change
+        return
     _set_level(first[g], stop[g], before_g, precision, S, m)
     slab[first[g] : stop[g]] = _width(g, before, first[g], stop[g], amplitude, named)
-    return 0.0

@@ -1,9 +1,4 @@
-"""What is found with every effect free at once, said of draws from the posterior.
-
-A linearisation tells what is true near its fit. Draws of several are pooled by what their states are worth, the log of
-evidence times prior on average over the states that were drawn. Linear models being as inexact as they are, worths that
-differ by what is just seen count as different by one.
-"""
+"""What is found with every effect free at once, said of draws from the posterior."""
 
 import itertools
 from collections.abc import Collection, Sequence
@@ -11,14 +6,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from vehicle_sbi.inference.information import SEEN
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
-
-EXACT = 0.5 * SEEN**2  # log likelihood that an effect adds which is just seen
 
 
 @dataclass(frozen=True)
@@ -90,20 +82,10 @@ def folded(
     return np.clip(mirrored, low, high)
 
 
-def pooled(found: Sequence[Pruned], worth: Sequence[float]) -> Pruned:
-    """Draws of several linearisations in one, as many as the first two have; what is left over is said of the one that
-    is worth most."""
-    number, best = [len(one.theta) for one in found], int(np.argmax(worth))
-    share = np.exp((np.array(worth) - worth[best]) / EXACT)
-    drawn = _evenly(np.repeat(share / number, number), sum(number[:2]))
+def pooled(found: Sequence[Pruned]) -> Pruned:
+    """Draws of several linearisations together; what is left over is said of the last."""
     theta, included, discrepant = (
-        np.concatenate([getattr(one, name) for one in found])[drawn] for name in ("theta", "included", "discrepant")
+        np.concatenate([getattr(one, name) for one in found]) for name in ("theta", "included", "discrepant")
     )
-    beyond = np.average([one.beyond for one in found], axis=0, weights=share)
-    return replace(found[best], theta=theta, included=included, discrepant=discrepant, beyond=beyond)
-
-
-def _evenly(weight: Float[np.ndarray, " n"], number: int) -> Int[np.ndarray, " number"]:
-    """Places of so many draws, each as often as its weight says, to less than one (Kitagawa 1996)."""
-    reached = np.cumsum(weight) / weight.sum()
-    return np.searchsorted(reached, (np.arange(number) + 0.5) / number)
+    beyond = np.mean([one.beyond for one in found], axis=0)
+    return replace(found[-1], theta=theta, included=included, discrepant=discrepant, beyond=beyond)
