@@ -31,7 +31,7 @@ mismatch.estimation.linear_gaussian mismatch.hypotheses.hypothesis mismatch.hypo
 mismatch.hypotheses.regressor mismatch.hypotheses.quantisation mismatch.hypotheses.discrepancy
 mismatch.hypotheses.spans mismatch.hypotheses.effect mismatch.hypotheses.dictionary
 mismatch.selection.score_test mismatch.selection.detection mismatch.selection.inclusion
-mismatch.selection.expand_and_prune mismatch.selection.extended mismatch.selection.reinfer
+mismatch.selection.pruned mismatch.selection.expand_and_prune mismatch.selection.extended mismatch.selection.reinfer
 mismatch.selection.predictive mismatch.selection.acceptance mismatch.design.cannot_act mismatch.design.identifiability
 mismatch.design.experiment mismatch.answer.schema mismatch.answer.wording mismatch.answer.verdict mismatch.pipeline
 report.manifest report.run_folder report.stage_file report.tables report.density report.figures
