@@ -11,6 +11,11 @@ from vehicle_sbi.report.card import could_show, hidden
 from vehicle_sbi.report.tables import NOT_IDENTIFIED
 from vehicle_sbi.rounding import rounded
 
+MEANT = (
+    "The bound is the least standard deviation, of a car as in the column 'at', if the model lacks nothing; "
+    "diagnose asks whether it does."
+)
+
 
 def observability(prepared: Prepared) -> tuple[pd.DataFrame, list[str]]:
     """A row of text per parameter, with its Cramér-Rao bound at `prepared.point`, and what is to be said of them
@@ -31,7 +36,7 @@ def observability(prepared: Prepared) -> tuple[pd.DataFrame, list[str]]:
             "identified": np.where(bound < space.prior_std, "yes", NOT_IDENTIFIED),
         }
     )
-    notes = [f"Condition number of the information, in units of the prior: {condition(F, space.prior_std):.3g}."]
+    notes = [MEANT, f"Condition number of the information, in units of the prior: {condition(F, space.prior_std):.3g}."]
     pairs = confusable(F, space.prior_std)
     notes += [f"Hardly told apart: {space.names[i]} and {space.names[j]}: correlation {r:.2f}." for i, j, r in pairs]
     return table, [*notes, *prepared.notes]
