@@ -137,6 +137,8 @@ def test_missing_rows_are_gaps_of_every_channel(tmp_path):
     rec = read(saved(tmp_path, frame().drop(index=range(100, 150))))
     assert len(rec.t) == N
     assert all(np.flatnonzero(~valid).tolist() == list(range(100, 150)) for valid in rec.valid.values())
+    said = "all channels: 50 samples missing in gaps that start at 1.00 s; they are left out"
+    assert [note for note in rec.notes if "missing" in note] == [said]
 
 
 def test_a_stray_last_row_is_dropped(tmp_path):

@@ -6,7 +6,7 @@ grid by linear interpolation; how they lie to each other is noted.
 """
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -101,7 +101,7 @@ class RecordingFile:
             groups={name: one.group for name, one in series.items()},
             source=" + ".join(map(str, inputs)),
             sha256=" + ".join(map(_digest, inputs)),
-            notes=tuple(notes),
+            notes=tuple(_once(notes, series)),
         )
         return replace(recording, warnings=findings(recording))
 
@@ -157,7 +157,8 @@ class RecordingFile:
                 f"{self.path}: holds no samples from {start:.12g} to {stop:.12g} s; its files hold {spans}"
             )
         if not uniform or rate != usual or any(not np.array_equal(t, clocks[0]) for t in clocks):
-            spread = f"{1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
+            longest = f"{1e3 * steps.max():.3g} ms" if steps.max() < 1.0 else f"{steps.max():.3g} s"
+            spread = f"{1e3 * steps.min():.3g} ms to {longest}"
             notes.append(f"resampled linearly to {rate:g} Hz from steps of {spread}, median {1e3 * step:.3g} ms")
         self._check_grid(inside, stop, rate, listed[0].first_row + int(np.searchsorted(clocks[0], inside[0])))
         return inside[0] + np.arange(int((stop - inside[0]) * rate + 1e-3) + 1) / rate, rate
@@ -302,8 +303,23 @@ def _resampled(
         notes.append(f"{name}: {filled.sum()} samples filled linearly in gaps up to {gap[filled].max():.3g} s")
     if absent.any():
         runs = grid[np.flatnonzero(absent & ~np.roll(absent, 1) | absent & (np.arange(len(grid)) == 0))]
-        notes.append(f"{name}: {absent.sum()} samples missing in gaps that start at {_listed(runs)} s")
+        notes.append(
+            f"{name}: {absent.sum()} samples missing in gaps that start at {_listed(runs)} s; they are left out"
+        )
     return np.where(absent, np.nan, np.interp(grid, t, values)), ~(absent | filled)
+
+
+def _once(notes: Iterable[str], channels: Collection[str]) -> list[str]:
+    """Notes on channels of which several say the same, as one on all of these."""
+    named: dict[str, list[str]] = {}
+    for note in notes:
+        name, _, said = note.partition(": ")
+        named.setdefault(said if name in channels else note, []).append(name)
+    return [
+        said if names[0] not in channels
+        else f"{'all channels' if len(names) == len(channels) > 1 else ', '.join(names)}: {said}"
+        for said, names in named.items()
+    ]  # fmt: skip
 
 
 def _listed(times: Float[np.ndarray, " n"]) -> str:
