@@ -5,11 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recorded import TRUTH, fitted, lateral, recorded
+from scipy.optimize import lsq_linear
 from scipy.stats import multivariate_normal
 
 from vehicle_sbi.inference.directions import within
 from vehicle_sbi.inference.information import sensitivity
-from vehicle_sbi.mismatch.estimation.fit import CONVERGED, Fit, Metric, _updated, descend, linearise, with_own_noise
+from vehicle_sbi.mismatch.estimation.fit import (
+    CONVERGED,
+    Fit,
+    Metric,
+    Shrinkage,
+    _steps,
+    _updated,
+    descend,
+    linearise,
+    with_own_noise,
+)
 from vehicle_sbi.mismatch.estimation.multistart import best, likeliest
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import ParameterSpace
@@ -145,10 +156,38 @@ def test_updated_derivatives_hold_for_the_step_that_was_taken_and_stay_across_it
     step = np.array([0.3, -0.2, 0.4])
     theta = TRUTH + step * sim.space.prior_std
     y = sim.noise_free(theta[None])[0]
-    J = _updated(fit, theta, y).J
+    updated = _updated(fit, theta, y)
+    J = updated.at.J
     np.testing.assert_allclose(np.tensordot(step, J, axes=1), y - fit.at.y, atol=1e-9)
     across = np.array([0.2, 0.3, 0.0])
     np.testing.assert_allclose(np.tensordot(across, J, axes=1), np.tensordot(across, fit.at.J, axes=1), atol=1e-9)
+    np.testing.assert_allclose(updated.white, updated.metric(J).reshape(len(TRUTH), -1), atol=1e-8 * np.abs(J).max())
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_units_are_those_of_the_point_even_where_noise_grows_with_the_signal(share: float) -> None:
+    sim = lateral(known_start=False)
+    sim = sim.with_noise(replace(sim.noise, share=np.full(3, share)))
+    fit = Fit(recorded(sim), TRUTH, linearise(sim, TRUTH))
+    theta = TRUTH + 0.5 * sim.space.prior_std
+    there = _updated(fit, theta, sim.noise_free(theta[None])[0])
+    anew = Fit(there.observation, theta, there.at)
+    np.testing.assert_allclose(there.white, anew.white, rtol=1e-9, atol=1e-9 * np.abs(anew.white).max())
+    assert there.log_likelihood == pytest.approx(anew.log_likelihood, rel=1e-12)
+
+
+def test_a_step_ends_where_the_linear_model_fits_best_in_the_box() -> None:
+    # scipy's bounded least squares on all rows, shrinkage among them, in place of the triangle of normal equations.
+    sim = lateral(known_start=False)
+    start = TRUTH + 0.4 * sim.space.prior_std
+    pull = Shrinkage(TRUTH, np.array([0.5, 2.0, 1.0]))
+    fit = Fit(recorded(sim), start, linearise(sim, start), pull)
+    spread, root = sim.space.prior_std, np.sqrt(pull.precision)
+    rows = np.concatenate([fit.metric(fit.at.J).reshape(3, -1).T, np.diag(root)])
+    target = np.concatenate([fit.metric(fit.residual).reshape(-1), root * (pull.centre - start) / spread])
+    bounds = ((sim.space.low - start) / spread, (sim.space.high - start) / spread)
+    exact = lsq_linear(rows, target, bounds=bounds, tol=1e-14).x
+    np.testing.assert_allclose((_steps(fit)[0] - start) / spread, exact, atol=1e-6)
 
 
 def test_secants_end_at_the_optimum_that_differences_find() -> None:

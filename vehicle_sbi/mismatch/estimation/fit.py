@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from vehicle_sbi.data.noise import MeasurementNoise, from_residual, sensor_noise
@@ -202,10 +203,26 @@ class Fit:
         return (self.theta > space.low + margin) & (self.theta < space.high - margin)
 
     @cached_property
+    def white(self) -> Float[np.ndarray, "d samples"]:
+        """Derivatives in the metric's units."""
+        return self.metric(self.at.J).reshape(len(self.theta), -1)
+
+    @cached_property
     def information(self) -> Float[np.ndarray, "d d"]:
         """Fisher information in units of the prior's standard deviations."""
-        J = self.metric(self.at.J).reshape(len(self.theta), -1)
-        return J @ J.T
+        return self.white @ self.white.T
+
+    def at_point(
+        self, theta: Float[np.ndarray, " d"], at: Linear, white: Float[np.ndarray, "d samples"] | None = None
+    ) -> "Fit":
+        """The fit at another point, with the derivatives there, in the metric's units too if they are known.
+
+        Where noise is no share of the signal, and initial states do what they did, units are the same there.
+        """
+        there = replace(self, theta=theta, at=at)
+        if at.J_x is self.at.J_x and not self.simulator.noise.share.any():
+            vars(there).update({"metric": self.metric} | ({} if white is None else {"white": white}))
+        return there
 
     @property
     def covariance(self) -> Float[np.ndarray, "d d"]:
@@ -217,13 +234,11 @@ class Fit:
 
 def _steps(fit: Fit) -> Float[np.ndarray, "shares d"]:
     """Points on the way to where the linearised model fits best inside the box."""
-    space, metric = fit.simulator.space, fit.metric
-    spread = space.prior_std
-    J, r = metric(fit.at.J).reshape(len(spread), -1), metric(fit.residual).reshape(-1)
+    space, spread = fit.simulator.space, fit.simulator.space.prior_std
     pull = fit.shrinkage or Shrinkage(fit.theta, np.full(len(spread), DAMPING))
-    root = np.sqrt(pull.precision)
-    q, triangle = np.linalg.qr(np.concatenate([J.T, np.diag(root)]))
-    target = q.T @ np.concatenate([r, root * (pull.centre - fit.theta) / spread])
+    slope = fit.white @ fit.metric(fit.residual).reshape(-1) + pull.precision * (pull.centre - fit.theta) / spread
+    root = np.linalg.cholesky(fit.information + np.diag(pull.precision))
+    triangle, target = root.T, solve_triangular(root, slope, lower=True)
     room = 1e-9 * (space.high - space.low)
     bounds = ((space.low - room - fit.theta) / spread, (space.high + room - fit.theta) / spread)
     step = np.asarray(lsq_linear(triangle, target, bounds=bounds, method="bvls").x) * spread
@@ -264,14 +279,14 @@ def onwards(fit: Fit, steps: int, *, secant: bool = False, renewed: bool = True)
         if moved is None and (fresh or not renewed):
             break
         theta, y = (fit.theta, fit.at.y) if moved is None else moved
-        at = _updated(fit, theta, y) if secant and moved is not None else relinearised(fit, theta).at
-        fit, fresh = replace(fit, theta=theta, at=at), not secant or moved is None
+        fit = _updated(fit, theta, y) if secant and moved is not None else relinearised(fit, theta)
+        fresh = not secant or moved is None
     return fit
 
 
 def relinearised(fit: Fit, theta: Float[np.ndarray, " d"]) -> Fit:
     """With differences about theta."""
-    return replace(fit, theta=theta, at=linearise(fit.simulator, theta, fit.at.J_x))
+    return fit.at_point(theta, linearise(fit.simulator, theta, fit.at.J_x))
 
 
 def _stepped(fit: Fit) -> tuple[Float[np.ndarray, " d"], Series] | None:
@@ -287,11 +302,12 @@ def _stepped(fit: Fit) -> tuple[Float[np.ndarray, " d"], Series] | None:
     return None
 
 
-def _updated(fit: Fit, theta: Float[np.ndarray, " d"], y: Series) -> Linear:
-    """Derivatives that also hold for the step that was taken."""
+def _updated(fit: Fit, theta: Float[np.ndarray, " d"], y: Series) -> Fit:
+    """With derivatives that also hold for the step that was taken."""
     step = (theta - fit.theta) / fit.simulator.space.prior_std
-    missed = y - fit.at.y - np.tensordot(step, fit.at.J, axes=1)
-    return replace(fit.at, y=y, J=fit.at.J + step[:, None, None] * missed / (step @ step))
+    along, missed = step / (step @ step), y - fit.at.y - np.tensordot(step, fit.at.J, axes=1)
+    at = replace(fit.at, y=y, J=fit.at.J + along[:, None, None] * missed)
+    return fit.at_point(theta, at, fit.white + np.outer(along, fit.metric(missed)))
 
 
 def with_own_noise(fit: Fit, rounds: int = NOISE_ROUNDS, steps: int = MOST_STEPS, *, secant: bool = False) -> Fit:

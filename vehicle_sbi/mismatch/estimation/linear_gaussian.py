@@ -62,7 +62,7 @@ def to_nulls(expansion: Expansion, fit: Fit) -> Fit:
     points = np.where(np.arange(len(c)) == away[:, None], expansion.rest, fit.theta)
     steps = np.where(simulator.windows.valid, fit.at.y - simulator.noise_free(points), 0.0)
     per_coefficient = simulator.space.prior_std / expansion.slope(fit.theta)
-    absorbing, _ = np.linalg.qr(fit.metric(fit.at.J[:own]).reshape(own, -1).T)
+    absorbing, _ = np.linalg.qr(fit.white[:own].T)
     J = fit.at.J.copy()
     for k, step in zip(away.tolist(), steps, strict=True):
         white = fit.metric(step).reshape(-1)
@@ -105,7 +105,6 @@ def order(expansion: Expansion) -> np.ndarray:
 
 def _columns(expansion: Expansion, fit: Fit) -> tuple[Float[np.ndarray, "d samples"], Float[np.ndarray, " samples"]]:
     """What parameters do per unit of their coefficients, and the residual from where all coefficients are zero."""
-    per_std = fit.metric(fit.at.J).reshape(len(fit.theta), -1)
-    X = per_std * (expansion.slope(fit.theta) / fit.simulator.space.prior_std)[:, None]
+    X = fit.white * (expansion.slope(fit.theta) / fit.simulator.space.prior_std)[:, None]
     r = fit.metric(fit.residual).reshape(-1) + expansion.coefficients(fit.theta) @ X
     return X[order(expansion)], r

@@ -122,7 +122,7 @@ def _best_of(
     points[:, places] = tried
     off = np.where(fit.simulator.windows.valid, fit.observation.observed - fit.simulator.noise_free(points), 0.0)
     r = fit.metric(np.nan_to_num(off)).reshape(len(tried), -1)
-    others = np.delete(fit.metric(fit.at.J), places, axis=0).reshape(len(fit.theta) - len(places), r.shape[1])
+    others = np.delete(fit.white, places, axis=0)
     followed, _ = np.linalg.qr(others.T)
     left = np.sum(r**2, axis=1) - np.sum((r @ followed) ** 2, axis=1)
     left = np.where(np.isfinite(off).all(axis=(1, 2)), left, np.inf)

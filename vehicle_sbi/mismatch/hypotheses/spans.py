@@ -26,7 +26,7 @@ def _likeliest(fit: Fit, direction: Direction) -> Direction:
 def _gains(fit: Fit, changes: Float[np.ndarray, "k channels time"]) -> Float[np.ndarray, " k"]:
     """Log likelihood that each change of the series gains at its likeliest size, the fit's parameters following."""
     held = np.full(len(fit.theta), DAMPING) if fit.shrinkage is None else fit.shrinkage.precision
-    J = fit.metric(fit.at.J).reshape(len(fit.theta), -1)
+    J = fit.white
     G, r = fit.metric(np.nan_to_num(changes)).reshape(len(changes), -1), fit.metric(fit.residual).reshape(-1)
     absorbed = np.linalg.solve(J @ J.T + np.diag(held), J @ G.T)
     left = np.sum(G**2, axis=1) - np.sum((G @ J.T) * absorbed.T, axis=1)
