@@ -140,7 +140,7 @@ def test_a_part_of_an_effect_is_inferred_alone(run: Path) -> None:
         replace(model, effects=("body_roll",), fit=fit), config | {"recordings": [named, "a.csv"], "effects": []}
     )
     written_down = yaml.safe_load(text)
-    assert written_down["prior"]["body_roll"] == {"gradient": [0.0, 0.02], "lag": None}
+    assert written_down["prior"]["body_roll"] == {"gradient": [0.0, 0.02], "lag": None, "period": None}
     assert (written_down["recording"]["path"], written_down["recording"]["v_min"]) == (
         str(Path("other.csv").absolute()),
         3.0,

@@ -24,8 +24,8 @@ def test_the_script_names_what_one_sine_cannot_tell_apart() -> None:
         [
             sys.executable,
             "scripts/observability.py",
-            "truth={l_f: 1.2, body_roll.gradient: 0.008, body_roll.lag: 0.05, accelerometer_scale.x: 1.0, "
-            "accelerometer_scale.y: 1.0}",
+            "truth={l_f: 1.2, body_roll.gradient: 0.008, body_roll.lag: 0.05, body_roll.period: 0.5, "
+            "accelerometer_scale.x: 1.0, accelerometer_scale.y: 1.0}",
             "prior=lateral",
             "~prior.C_alpha_f",
             "~prior.C_alpha_r",

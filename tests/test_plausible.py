@@ -41,12 +41,12 @@ def test_no_plausible_effect_is_tied_to_the_clock_and_each_moves_the_series() ->
 
 
 def test_rates_and_sizes_are_those_of_the_prior_and_what_it_lists_has_a_slab_of_its_own() -> None:
-    """The rear's grip acts only together with the front's here; a lag of the body's roll is not listed: its shape."""
+    """The rear's grip acts only together with the front's here; how late the body rolls is not listed: its shape."""
     free = {slab.parameter.name: slab for slab in found().slabs}
     assert (free["aero_drag.area"].rate, free["aero_drag.area"].size) == (0.4, 0.65)
     assert (free["friction_level.rear"].rate, free["friction_level.rear"].size) == (0.05, 0.1)
     assert "body_roll.lag" not in free
-    assert [p.name for p in free["body_roll.gradient"].shape] == ["body_roll.lag"]
+    assert [p.name for p in free["body_roll.gradient"].shape] == ["body_roll.lag", "body_roll.period"]
 
 
 def test_what_the_prior_names_is_not_drawn() -> None:

@@ -25,6 +25,7 @@ LEAST_STIFFNESS = 0.05  # share of a stiffness that no load and no acceleration 
 LEAST_LAG = 0.5  # of the way that a wheel rolls in a step of the integrator, the least length that lags as it is
 MOST_GRIP = 0.99  # share of the grip that a given longitudinal force takes, at most
 SPRUNG = 0.15  # damping ratio of a body on its springs at least
+SHORTEST = 1e-9  # [s] of a natural period, below which there is none
 REPORTED = (
     "imu",
     "can",
@@ -360,7 +361,7 @@ def swaying(
     y = u - c du/dt as its particular solution on a straight line u; the rest decays as it does without input. Without
     a period it is a first-order lag [s].
     """
-    if period <= 0.0:
+    if period <= SHORTEST:
         return lagged(y, before, now, lag, rate), 0.0
     T = period / (2.0 * math.pi)
     c, stiffness, slope = lag + 2.0 * SPRUNG * T, 1.0 / (T * T), rate * (now - before)

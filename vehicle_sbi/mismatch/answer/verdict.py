@@ -75,7 +75,7 @@ def verdict(case: Case, found: Found) -> Verdict:
     fit |= {name: asdict(_score(prediction)) for name, prediction in found.predictions.items()}
     fit |= {} if found.gained is None else {"gain_log_score": asdict(found.gained)}
     fit |= {} if accepted is None else {"accepted": accepted.accepted, "accepted_because": accepted.because}
-    warnings, effects = [*case.warnings, *_warnings(found)], pruned.effects if pruned else {}
+    warnings = [*case.warnings, *_warnings(found)]
     answer = Verdict(
         schema=SCHEMA,
         headline="",
@@ -84,7 +84,7 @@ def verdict(case: Case, found: Found) -> Verdict:
         p_value=found.examined.p_value,
         mismatch=found.examined.places,
         explanations=_explanations(pruned, model),
-        effects=effects,
+        effects=pruned.effects if pruned else {},
         p_none=_p_none(pruned, detected),
         p_unknown=float(pruned.unexplained.mean()) if pruned else float(detected),
         share_explained=_share_explained(found.base.fit, model.fit) if model.effects else None,
@@ -99,7 +99,7 @@ def verdict(case: Case, found: Found) -> Verdict:
         could_show={
             name: Visible(c.parameter.name, c.size, c.parameter.unit) for name, c in found.seen.could_show().items()
         },
-        invisible=[name for name in found.seen.invisible() if name not in effects],
+        invisible=found.seen.invisible(),
         cannot_act=found.seen.cannot_act,
         unsupported=_unsupported(pruned) if pruned and detected else [],
         warnings=warnings,
