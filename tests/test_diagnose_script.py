@@ -118,6 +118,7 @@ def test_the_extended_model_is_a_configuration_of_run(run: Path, tmp_path: Path)
     assert status == 0, err
     inferred = pd.read_csv(folder / "table.csv").set_index("parameter")
     assert set(inferred.index) == {"l_f", "C_alpha_f", "C_alpha_r", *best["parameters"]}
+    assert PAPER.L is not None
     assert tuple(inferred[["prior_low", "prior_high"]].loc["l_f"]) == pytest.approx((0.35 * PAPER.L, 0.65 * PAPER.L))
     manifest = json.loads((folder / "manifest.json").read_text())
     assert [Path(source).name for source in manifest["inputs"]] == ["a.csv"]
