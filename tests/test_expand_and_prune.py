@@ -15,8 +15,8 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     LinearGaussian,
     linear_gaussian,
     order,
+    plain_from,
     showing,
-    shows_from,
     to_nulls,
 )
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, discrepancies, responses
@@ -126,7 +126,7 @@ def test_a_size_shows_by_what_base_parameters_leave_of_it(expanded: tuple[Expans
         assert showing(roll, LinearGaussian(H, np.zeros(columns), np.zeros(0, dtype=int))).tolist() == [expected]
 
 
-def test_a_discrepancy_shows_by_all_that_base_parameters_leave_of_its_columns(
+def test_a_discrepancy_is_plain_by_all_that_base_parameters_leave_of_its_columns(
     expanded: tuple[Expansion, Fit],
 ) -> None:
     # Two groups, of three columns and of one; a base column takes c^2 s^2 / (s^2 + 1) of one column of the first.
@@ -136,7 +136,7 @@ def test_a_discrepancy_shows_by_all_that_base_parameters_leave_of_its_columns(
     H[0, columns] = H[columns, 0] = coherence * s * t
     problem = LinearGaussian(H, np.zeros(len(H)), columns + np.array([3, 4]))
     left = 3.0 - coherence**2 * s**2 / (s**2 + 1.0)
-    np.testing.assert_allclose(shows_from(roll, problem), [SEEN / (t * np.sqrt(left)), SEEN / t], rtol=1e-12)
+    np.testing.assert_allclose(plain_from(roll, problem), [PLAIN / (t * np.sqrt(left)), PLAIN / t], rtol=1e-12)
 
 
 def test_coefficients_say_where_parameters_are(expanded: tuple[Expansion, Fit]) -> None:

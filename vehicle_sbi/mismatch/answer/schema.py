@@ -134,7 +134,7 @@ class Verdict:
 
     `headline` is the answer in a line, `lines` are at most five more, `sentence` all of them. `explanations`: sets of
     effects, the likeliest first; `effects`: how probable it is that each is missing, whatever else is; `p_none`: that
-    nothing is, `p_unknown`: that there is a discrepancy which no effect stands for and that shows;
+    nothing is, `p_unknown`: that there is a discrepancy which no effect stands for and that is plain to see;
     `share_explained`: what the likeliest set explains of the misfit; `indistinguishable`: groups of effects that stand
     for each other; `could_show` and `invisible`: which the recordings would have shown with a power of 80 %, and which
     they could not;

@@ -77,15 +77,15 @@ def showing(expansion: Expansion, problem: LinearGaussian) -> Bool[np.ndarray, "
     return np.sqrt(left[len(left) - len(expansion.sizes) :]) * expansion.reach >= SEEN
 
 
-def shows_from(expansion: Expansion, problem: LinearGaussian) -> Float[np.ndarray, " groups"]:
-    """Amplitude from which each discrepancy shows: of what its columns are expected to change then, base parameters
-    leave what is seen, by the root of the sum of squares."""
+def plain_from(expansion: Expansion, problem: LinearGaussian) -> Float[np.ndarray, " groups"]:
+    """Amplitude from which each discrepancy is plain to see: of what its columns are expected to change then, base
+    parameters leave a root of the sum of squares of PLAIN standard deviations of the noise."""
     own, first = len(expansion.base), len(expansion.unit)
     left = _left(expansion, problem)
     sums = [
         left[start - own : stop - own].sum() for start, stop in zip([first, *problem.stop], problem.stop, strict=False)
     ]
-    return SEEN / np.sqrt(np.maximum(sums, 1e-300))
+    return PLAIN / np.sqrt(np.maximum(sums, 1e-300))
 
 
 def _left(expansion: Expansion, problem: LinearGaussian) -> Float[np.ndarray, " columns"]:

@@ -21,8 +21,8 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     LinearGaussian,
     linear_gaussian,
     order,
+    plain_from,
     showing,
-    shows_from,
     to_nulls,
 )
 from vehicle_sbi.mismatch.hypotheses.dictionary import believed
@@ -137,7 +137,7 @@ class _Told:
         expansion, drawn, space = self.now.expansion, self.drawn, self.now.expansion.space
         named, first = len(expansion.groups), len(expansion.unit)
         included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
-        discrepant = drawn.included[:, named:] & (drawn.amplitude[:, named:] >= shows_from(expansion, self.problem))
+        discrepant = drawn.included[:, named:] & (drawn.amplitude[:, named:] >= plain_from(expansion, self.problem))
         left = remainders(self.fit, self.off, drawn.coefficient[:, first:], discrepant)
         theta, shows = _theta(expansion, drawn.coefficient), showing(expansion, self.problem)
         beyond = ((theta < space.low) | (theta > space.high)).mean(axis=0)

@@ -16,8 +16,8 @@ from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
 @dataclass(frozen=True)
 class Pruned:
     """Draws from the posterior over the expanded model: `theta` (n, d) in the parameters' units, `included` (n, sizes)
-    says which sizes are away from their nulls, `discrepant` (n, groups) which discrepancies are as large as shows,
-    `beyond` (d,) which share of draws lay beyond each parameter's box before they were folded back.
+    says which sizes are away from their nulls, `discrepant` (n, groups) which discrepancies are as large as would be
+    plain to see, `beyond` (d,) which share of draws lay beyond each parameter's box before they were folded back.
     `shows` (sizes) says which sizes would be seen beside the base parameters; others are not named, and only widen what
     is said of those."""
 
@@ -53,7 +53,7 @@ class Pruned:
 
     @cached_property
     def unexplained(self) -> Bool[np.ndarray, " n"]:
-        """In which draws there is a discrepancy, which no effect stands for, as large as shows."""
+        """In which draws there is a discrepancy, which no effect stands for, as large as would be plain to see."""
         return np.any(self.discrepant, axis=1)
 
     @cached_property
