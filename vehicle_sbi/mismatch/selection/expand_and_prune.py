@@ -114,10 +114,13 @@ def expand_and_prune(
         last = k >= budget.rounds - budget.pooled
         one = asked.told(now, fit, budget.last if last else budget.first)
         told += [one] if last else []
+        if k + 1 == budget.rounds:
+            break
         now = one.again()
         if k == 0:
             now = now.widened(Expansion.of(base.simulator.space, known, prior, likeliest_spans(one.fit, known)))
-        if k + 1 < budget.rounds and (fit := now.fitted()) is None:
+        fit = now.fitted()
+        if fit is None:
             break
     return pooled([one.pruned for one in told]) if told else None
 
@@ -134,6 +137,7 @@ class _Told:
 
     @property
     def pruned(self) -> Pruned:
+        """What was drawn, as parameters within their boxes, effects and discrepancies."""
         expansion, drawn, space = self.now.expansion, self.drawn, self.now.expansion.space
         named, first = len(expansion.groups), len(expansion.unit)
         included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
