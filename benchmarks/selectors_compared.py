@@ -16,7 +16,7 @@ The last two have base parameters, shapes and discrepancies integrated out as no
 import json
 import platform
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -31,7 +31,8 @@ from whole_car.scores import NAMED, STRONG, standing
 from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, to_nulls
-from vehicle_sbi.mismatch.hypotheses.discrepancy import discrepancies, responses
+from vehicle_sbi.mismatch.hypotheses.dictionary import unnamed
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy
 from vehicle_sbi.mismatch.pipeline import AtOnce
 from vehicle_sbi.mismatch.selection.expand_and_prune import groups_of
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Sampled, Shared, sample
@@ -52,6 +53,7 @@ class Problem:
     """A case's linear problem, with what was found by the diagnosis itself."""
 
     pruned: Pruned
+    off: Sequence[Discrepancy]
     linear: LinearGaussian
     prior: EffectPrior
 
@@ -79,15 +81,15 @@ def problem(path: Path, prior: EffectPrior) -> Problem | None:
     pruned = read(path / "stages" / "pruned.npz", AtOnce).pruned
     if pruned is None:
         return None
-    here = discrepancies(pruned.fit, responses(pruned.fit))
+    off = [one.about(pruned.fit) for one in unnamed(pruned.fit)]
     about = to_nulls(pruned.expansion, pruned.fit)
-    return Problem(pruned, linear_gaussian(pruned.expansion, [(about, [d.whitened for d in here])]), prior)
+    return Problem(pruned, off, linear_gaussian(pruned.expansion, [(about, [d.whitened for d in off])]), prior)
 
 
 def selected(given: Problem, *, discrepancy: float | None = None) -> Sampled:
     """Draws of the diagnosis' own sampler."""
     prior = given.prior if discrepancy is None else replace(given.prior, discrepancy=discrepancy)
-    groups = groups_of(given.pruned.expansion, given.linear, prior)
+    groups = groups_of(given.pruned.expansion, given.off, prior)
     shared = Shared(spikes=(prior.negligible,))
     return sample(given.linear.H, given.linear.b, groups, shared, CHAIN, np.random.default_rng(0))
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from recorded import fitted, lateral, recorded
 
-from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, discrepancies, remainders, responses
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, remainders, responses
 from vehicle_sbi.mismatch.hypotheses.regressor import signals
 
 
 @pytest.fixture(scope="module")
 def here() -> tuple[object, list[Discrepancy]]:
     fit = fitted(recorded(lateral(seconds=20.0)))
-    return fit, discrepancies(fit, responses(fit))
+    return fit, [one.about(fit) for one in responses(fit)]
 
 
 def test_columns_of_a_group_are_orthogonal_in_units_of_the_noise(here) -> None:

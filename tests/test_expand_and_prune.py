@@ -19,7 +19,7 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     showing,
     to_nulls,
 )
-from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, discrepancies, responses
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, responses
 from vehicle_sbi.mismatch.selection.expand_and_prune import (
     Budget,
     _likeliest_before,
@@ -53,7 +53,7 @@ def expanded(base: Fit) -> tuple[Expansion, Fit]:
 
 @pytest.fixture(scope="module")
 def discrepant(expanded: tuple[Expansion, Fit]) -> list[Discrepancy]:
-    return discrepancies(expanded[1], responses(expanded[1]))
+    return [one.about(expanded[1]) for one in responses(expanded[1])]
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ mismatch.problem.observation mismatch.problem.case mismatch.estimation.estimate 
 mismatch.estimation.model mismatch.estimation.elsewhere mismatch.estimation.multistart mismatch.estimation.base_fit
 mismatch.estimation.fit_check mismatch.estimation.linearised mismatch.estimation.expansion
 mismatch.estimation.linear_gaussian mismatch.hypotheses.hypothesis mismatch.hypotheses.block
-mismatch.hypotheses.regressor mismatch.hypotheses.quantisation mismatch.hypotheses.discrepancy
+mismatch.hypotheses.regressor mismatch.hypotheses.discrepancy mismatch.hypotheses.quantisation
 mismatch.hypotheses.spans mismatch.hypotheses.effect mismatch.hypotheses.dictionary
 mismatch.selection.score_test mismatch.selection.detection mismatch.selection.inclusion
 mismatch.selection.pruned mismatch.selection.expand_and_prune mismatch.selection.extended mismatch.selection.reinfer

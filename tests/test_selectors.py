@@ -24,7 +24,7 @@ def orthogonal() -> selectors.Problem:
         fit=SimpleNamespace(simulator=SimpleNamespace(windows=SimpleNamespace(valid=np.ones((1, 500), dtype=bool)))),
     )
     linear = LinearGaussian(np.diag(information), information * true, np.zeros(0, dtype=np.int64))
-    return selectors.Problem(cast(Any, pruned), linear, EffectPrior())
+    return selectors.Problem(cast(Any, pruned), [], linear, EffectPrior())
 
 
 @pytest.mark.parametrize("method", [selectors.susie, selectors.bic])

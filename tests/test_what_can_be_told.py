@@ -35,7 +35,7 @@ def problem() -> selectors.Problem:
     pruned: Any = SimpleNamespace(expansion=expansion, theta=np.array([[1.4, 0.3, 1.004, 0.006, 0.07]] * 2))
     root = np.random.default_rng(0).standard_normal((7, 7))  # two columns of a discrepancy come last
     linear = LinearGaussian(root @ root.T, np.zeros(7), np.array([7]))
-    return selectors.Problem(cast(Any, pruned), linear, EffectPrior())
+    return selectors.Problem(cast(Any, pruned), [], linear, EffectPrior())
 
 
 def test_truth_is_what_is_stated_and_else_what_was_found_of_what_is_there(problem: selectors.Problem) -> None:

@@ -75,12 +75,11 @@ def steps(
     known = keep("directions", list[Direction], lambda: left_out(base.simulator, base.theta))
     seen = keep("separability", Card, lambda: card(base.simulator, base.theta, known))
     examined = keep("examined", Examined, lambda: examine(base, seen.visible(known), draws))
-    enough = budget if examined.detected else replace(budget, rounds=1, pooled=1)
     at_once = keep(
         "pruned",
         AtOnce,
         lambda: AtOnce(
-            expand_and_prune(base, seen.acting(known), case.naming, prior=case.effect_prior, rng=pruning, budget=enough)
+            expand_and_prune(base, seen.acting(known), case.naming, prior=case.effect_prior, rng=pruning, budget=budget)
         ),
     )
     likeliest = keep("extended", Extended, lambda: _extended(base, at_once.pruned, seen, examined.detected, infer))

@@ -5,8 +5,10 @@ from collections.abc import Sequence
 from vehicle_sbi.inference.directions import Direction
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
+from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linearised import Linearised
 from vehicle_sbi.mismatch.hypotheses import block, discrepancy, effect, quantisation, regressor
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Unnamed
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief, Hypothesis, Together
 
 
@@ -21,6 +23,11 @@ def together(about: Linearised, alone: Sequence[Hypothesis]) -> list[Together]:
     return [*block.together(about, alone), *quantisation.together(about)]
 
 
-def believed(expansion: Expansion, widths: Sequence[int], prior: EffectPrior) -> list[Belief]:
-    """What is sampled: sizes of effects, then discrepancies of so many columns each."""
-    return [*effect.believed(expansion, prior), *(discrepancy.believed(columns, prior) for columns in widths)]
+def unnamed(fit: Fit) -> list[Unnamed]:
+    """What is sampled beside effects: loads and errors that no effect stands for, and readings in steps."""
+    return [*discrepancy.responses(fit), *quantisation.readings(fit)]
+
+
+def believed(expansion: Expansion, off: Sequence[Discrepancy], prior: EffectPrior) -> list[Belief]:
+    """Of what is sampled: sizes of effects, then discrepancies."""
+    return [*effect.believed(expansion, prior), *(one.believed(prior) for one in off)]

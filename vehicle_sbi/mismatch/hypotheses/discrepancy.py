@@ -7,6 +7,7 @@ singular directions of what that does to the series, so that one amplitude, in p
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -36,6 +37,18 @@ class Discrepancy:
     whitened: Float[np.ndarray, "q samples"]
     course: Float[np.ndarray, "q time"]
 
+    def believed(self, prior: EffectPrior) -> Belief:
+        """An amplitude that is half normal on a grid, of either sign."""
+        return believed(len(self.series), prior)
+
+
+class Unnamed(Protocol):
+    """What no effect stands for, found about one fit, that is a discrepancy about any other."""
+
+    def about(self, fit: Fit) -> Discrepancy:
+        """As columns of a linear model, under the noise of a fit."""
+        ...
+
 
 @dataclass(frozen=True)
 class Response:
@@ -48,6 +61,15 @@ class Response:
     courses: Float[np.ndarray, "k time"]
     columns: int
 
+    def about(self, fit: Fit) -> Discrepancy:
+        """At most so many singular directions of what the courses do."""
+        white = fit.metric(self.changes).reshape(len(self.changes), -1)
+        left, size, right = np.linalg.svd(white, full_matrices=False)
+        kept = max(min(self.columns, int((size > LEAST * size[0]).sum())), 1)
+        along = left[:, :kept].T
+        series = np.tensordot(along, self.changes, axes=1)
+        return Discrepancy(self.target, self.kind, series, size[:kept, None] * right[:kept], along @ self.courses)
+
 
 def responses(fit: Fit) -> list[Response]:
     """Of every target, along the drive's signals and on a course of its own, simulated about a fit.
@@ -59,11 +81,6 @@ def responses(fit: Fit) -> list[Response]:
         *_responses(fit, acting, "along the drive's signals", along, columns=ALONG_SIGNALS, scale=len(along) ** -0.5),
         *_responses(fit, acting, "on a course of its own", _stretches(fit), columns=STRETCHES[1], scale=1.0),
     ]
-
-
-def discrepancies(fit: Fit, tried: Sequence[Response]) -> list[Discrepancy]:
-    """Responses as columns of a linear model, under the noise of a fit."""
-    return [_discrepancy(fit, one) for one in tried]
 
 
 def believed(columns: int, prior: EffectPrior) -> Belief:
@@ -115,16 +132,6 @@ def _responses(
         Response(target, kind, size * rows, size * course, columns)
         for target, size, rows in zip(acting, sizes, by_target, strict=True)
     ]
-
-
-def _discrepancy(fit: Fit, one: Response) -> Discrepancy:
-    """At most so many singular directions of what the courses do."""
-    white = fit.metric(one.changes).reshape(len(one.changes), -1)
-    left, size, right = np.linalg.svd(white, full_matrices=False)
-    kept = max(min(one.columns, int((size > LEAST * size[0]).sum())), 1)
-    along = left[:, :kept].T
-    series = np.tensordot(along, one.changes, axes=1)
-    return Discrepancy(one.target, one.kind, series, size[:kept, None] * right[:kept], along @ one.courses)
 
 
 @dataclass(frozen=True)

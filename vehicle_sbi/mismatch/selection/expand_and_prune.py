@@ -6,6 +6,7 @@ effect that is out is held to its null, the discrepancy that was found is taken 
 last rounds are pooled, since none of their linear models is the right one.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -25,15 +26,8 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     showing,
     to_nulls,
 )
-from vehicle_sbi.mismatch.hypotheses.dictionary import believed
-from vehicle_sbi.mismatch.hypotheses.discrepancy import (
-    Discrepancy,
-    Response,
-    discrepancies,
-    parts,
-    remainders,
-    responses,
-)
+from vehicle_sbi.mismatch.hypotheses.dictionary import believed, unnamed
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Unnamed, parts, remainders
 from vehicle_sbi.mismatch.hypotheses.spans import likeliest_spans
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Shared, sample
@@ -169,7 +163,7 @@ class _Asked:
     hardly depend on the fit), recordings that help to name, and what is believed."""
 
     observed: Float[np.ndarray, "channels time"]
-    tried: list[list[Response]]
+    tried: list[list[Unnamed]]
     naming: Observation | None
     prior: EffectPrior
     rng: np.random.Generator
@@ -183,16 +177,17 @@ class _Asked:
         prior: EffectPrior,
         rng: np.random.Generator,
     ) -> "_Asked":
-        return cls(observed, [responses(one) for one in (fit, *_further(fit, naming))], naming, prior, rng)
+        return cls(observed, [unnamed(one) for one in (fit, *_further(fit, naming))], naming, prior, rng)
 
     def told(self, now: _Round, fit: Fit, chain: Chain) -> _Told:
         """What the linear model about a fit tells."""
         fit = replace(fit, observation=replace(fit.observation, observed=self.observed))
         fits, expansion = [fit, *_further(fit, self.naming)], now.expansion
-        off = [discrepancies(one, them) for one, them in zip(fits, self.tried, strict=False)]
+        off = [[it.about(one) for it in them] for one, them in zip(fits, self.tried, strict=False)]
         about = [to_nulls(expansion, one) for one in fits]
         problem = linear_gaussian(expansion, [*zip(about, map(_columns, off), strict=False)])
-        groups, shared = groups_of(expansion, problem, self.prior), Shared(spikes=(self.prior.negligible,))
+        groups = groups_of(expansion, [*itertools.chain(*off)], self.prior)
+        shared = Shared(spikes=(self.prior.negligible,))
         return _Told(now, fit, off[0], problem, sample(problem.H, problem.b, groups, shared, chain, self.rng))
 
 
@@ -217,11 +212,9 @@ def _further(fit: Fit, naming: Observation | None) -> list[Fit]:
     return [under_own_noise(one) for one in there if np.isfinite(one.at.y[one.simulator.windows.valid]).all()]
 
 
-def groups_of(expansion: Expansion, problem: LinearGaussian, prior: EffectPrior) -> Groups:
+def groups_of(expansion: Expansion, off: Sequence[Discrepancy], prior: EffectPrior) -> Groups:
     """Sizes of effects, then discrepancies, with what is believed of them."""
-    first = len(expansion.unit)
-    widths = np.diff(problem.stop, prepend=first)
-    return Groups.of(believed(expansion, widths.tolist(), prior), first - len(expansion.sizes))
+    return Groups.of(believed(expansion, off, prior), len(expansion.unit) - len(expansion.sizes))
 
 
 def _theta(expansion: Expansion, coefficient: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n d"]:

@@ -233,7 +233,10 @@ def _width(g, level, first, last, amplitude, named):
 
 @njit(cache=True)
 def _set_level(first, last, to, precision, S, m):
-    """Give a group another precision; S, m and `precision` change in place."""
+    """Give a group another precision; S, m and `precision` change in place.
+
+    Its own rows are scaled rather than subtracted from: where a precision grows by 1e7, seven digits would be lost.
+    """
     d = to - precision[first]
     if d == 0.0:
         return
@@ -241,10 +244,13 @@ def _set_level(first, last, to, precision, S, m):
         _set_alone(first, d, S, m)
     else:
         e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
-        W = np.ascontiguousarray(S[:, first:last]) @ V
-        c = d / np.maximum(1.0 + d * np.maximum(e, 0.0), LEAST)
-        m -= W @ (c * (V.T @ m[first:last].copy()))
-        S -= (W * c) @ W.T
+        W, u = np.ascontiguousarray(S[:, first:last]) @ V, V.T @ m[first:last].copy()
+        grown = np.maximum(1.0 + d * np.maximum(e, 0.0), LEAST)
+        m -= W @ (d / grown * u)
+        S -= (W * (d / grown)) @ W.T
+        m[first:last] = V @ (u / grown)
+        S[:, first:last] = (W / grown) @ V.T
+        S[first:last] = S[:, first:last].T
     precision[first:last] = to
 
 
@@ -252,12 +258,15 @@ def _set_level(first, last, to, precision, S, m):
 def _set_alone(j, d, S, m):
     """What `_set_level` does to a group of one column j, whose precision changes by d, without matrices beside S."""
     w = S[j].copy()
-    c, mean = d / max(1.0 + d * max(w[j], 0.0), LEAST), m[j]
+    grown, mean = max(1.0 + d * max(w[j], 0.0), LEAST), m[j]
     for i in range(len(m)):
-        share = c * w[i]
+        share = d / grown * w[i]
         m[i] -= share * mean
         for k in range(len(m)):
             S[i, k] -= share * w[k]
+    m[j] = mean / grown
+    for i in range(len(m)):
+        S[i, j] = S[j, i] = w[i] / grown
 
 
 @njit(cache=True)
