@@ -134,6 +134,13 @@ def test_an_offset_needs_a_constant_to_be_offset_from() -> None:
         parameter_space({"delta_C_alpha_f": [-0.1, 0.1]}, vehicle=unknown, model="single_track")
 
 
+def test_one_parameter_of_an_effect_is_freed_by_its_name() -> None:
+    space = parameter_space(
+        {"l_f": [1.0, 1.5]}, vehicle=PAPER, model="single_track", effects=["sensor_lag.imu", "body_roll"]
+    )
+    assert space.names == ("l_f", "sensor_lag.imu", *(p.name for p in CATALOGUE["body_roll"].parameters))
+
+
 def test_an_unknown_effect_is_refused_with_the_nearest_first() -> None:
     with pytest.raises(InputError, match="effects: unknown effect 'aero_drug'; known: aero_drag, "):
         parameter_space({"l_f": [1.0, 1.5]}, vehicle=PAPER, model="single_track", effects=["aero_drug"])

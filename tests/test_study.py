@@ -18,7 +18,7 @@ from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Score
-from vehicle_sbi.inference.setup import slowest
+from vehicle_sbi.inference.setup import _slowest_believed, slowest
 from vehicle_sbi.inference.study import Study
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.physics.simulation import fastest_rate
@@ -198,6 +198,15 @@ def test_steps_are_short_enough_for_every_corner_of_the_prior() -> None:
     prior = {"l_f": [1.0, 1.5], "I_wf": [0.5, 5.0], "C_kappa_f": [5e4, 4e5], "C_alpha_f": [4e4, 1.2e5], "m": [800, 2e3]}
     sim = study(prior=prior, truth=None).prepare().problem.simulator
     records = sim.space.records(np.array(list(product(*zip(sim.space.low, sim.space.high, strict=True)))), sim.nominal)
-    fastest = [fastest_rate(record, sim.drive, float(slowest(sim).min()), sim.model) for record in records]
+    middle = (sim.space.low + sim.space.high)[None] / 2
+    fastest = [fastest_rate(record, sim.drive, float(slowest(sim, middle).min()), sim.model) for record in records]
     assert max(fastest) <= sim.windows.rate * sim.substeps
     assert max(fastest) > 1.1 * max(fastest[0], fastest[-1])
+
+
+def test_where_the_prior_s_centre_spins_out_the_speed_is_that_of_cars_that_do_not() -> None:
+    # In the middle of both boxes the car turns faster than its rear tyres hold; most draws drive on at 8 m/s.
+    prior, car = {"l_f": [0.3, 2.4], "C_alpha_r": [1e4, 2.2e4]}, {"l_f": 1.1, "C_alpha_r": 2.1e4}
+    sim = study(prior=prior, truth=car).prepare().problem.simulator
+    assert np.isnan(slowest(sim, (sim.space.low + sim.space.high)[None] / 2)).all()
+    assert _slowest_believed(sim) == pytest.approx(slowest(sim, np.array([[*car.values()]]))[0], rel=0.1)

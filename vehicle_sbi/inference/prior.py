@@ -1,5 +1,6 @@
 """Priors: from the nested YAML of a prior file to a parameter space."""
 
+import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -120,6 +121,7 @@ def parameter_space(
 ) -> ParameterSpace:
     """The free parameters: those of the prior file, those of the effects, and what the vehicle file leaves out.
 
+    Of an effect all parameters are free; of a name like `sensor_lag.imu` that one alone.
     Boxes that are not stated, or stated as `usual`, are those of a car of this size. A null takes a parameter out of
     the prior, and one of an effect out of the effect: it stays where that vanishes. With what is `sensed` (the group of
     each channel), neither constants that nothing recorded depends on are freed nor what effects do to sensors that are
@@ -132,11 +134,9 @@ def parameter_space(
             raise unknown("parameter", name, KNOWN, "prior")
         free[name] = usual(name, vehicle) if value == USUAL else _boxed(name, value)
     named = stated(prior)
-    for name in effects:
-        if name not in CATALOGUE:
-            raise unknown("effect", name, CATALOGUE, "effects")
-        own = (p for p in CATALOGUE[name].parameters if sensed is None or reported(p, sensed))
-        free |= {p.name: usual(p.name, vehicle) for p in own if p.name not in named}
+    for p in itertools.chain(*map(_parameters_of, effects)):
+        if p.name not in named and (sensed is None or reported(p, sensed)):
+            free[p.name] = usual(p.name, vehicle)
     settled = {name for p in free.values() for name in p.fields}
     settled |= set() if sensed is None else {*unused(drive, model, sensed)}
     free |= {name: usual(name, vehicle) for name in vehicle.missing(model) if name not in settled}
@@ -145,6 +145,15 @@ def parameter_space(
     space = ParameterSpace(tuple(free.values()))
     _check_physical(space, vehicle)
     return space
+
+
+def _parameters_of(effect: str) -> Sequence[Parameter]:
+    """Of an effect of the catalogue, or the one parameter of an effect that is named."""
+    if effect in EFFECT_PARAMETERS:
+        return [EFFECT_PARAMETERS[effect]]
+    if effect not in CATALOGUE:
+        raise unknown("effect", effect, CATALOGUE, "effects")
+    return CATALOGUE[effect].parameters
 
 
 def _check_physical(space: ParameterSpace, vehicle: Vehicle) -> None:

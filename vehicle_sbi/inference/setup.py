@@ -33,7 +33,8 @@ FIRST_SUBSTEPS = 4  # before the slowest speed is known, which decides their num
 CORNERS = 7  # from which the fastest mode in the prior is sought, beside its centre
 STARTS = 3  # of the fit under which noise is estimated
 NOISE_ROUNDS = 8  # of fit and estimate at most
-CRAWL = 1.0  # [m/s], where the speed is not known because the simulation fails
+ELSEWHERE = 32  # draws from the prior, where the simulation fails at its centre
+CRAWL = 1.0  # [m/s], where the speed is not known because the simulation fails at all of them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,23 +129,27 @@ class Setup:
         return nominal_record(replace(self.vehicle, **idle), duration=duration)
 
 
-def speeds(simulator: Simulator) -> Float[np.ndarray, "windows time"]:
-    """The speed [m/s] at the prior's centre, NaN where the simulation fails there."""
+def slowest(simulator: Simulator, theta: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n windows"]:
+    """The lowest speed [m/s] of each window, where modes are fastest; NaN where the simulation fails."""
     probe = replace(simulator, windows=replace(simulator.windows, channels=("v_x",), groups=("can",)))
-    space = simulator.space
-    return probe.noise_free((space.low + space.high)[None] / 2).reshape(simulator.windows.t.shape)
+    return probe.noise_free(theta).reshape(len(theta), *simulator.windows.t.shape).min(axis=2)
 
 
-def slowest(simulator: Simulator) -> Float[np.ndarray, " windows"]:
-    """The lowest speed [m/s] of each window at the prior's centre, which has the fastest modes."""
-    v_x = speeds(simulator)
-    lowest = np.where(np.isfinite(v_x), v_x, np.inf).min(axis=1)
-    return np.where(np.isfinite(lowest), lowest, CRAWL)
+def _slowest_believed(simulator: Simulator) -> Float[np.ndarray, " windows"]:
+    """The lowest speed [m/s] of each window at the prior's centre; where a car spins out there, the median of draws
+    from the prior in which it does not."""
+    space, rng = simulator.space, generator(seed=0, stream=Stream.STUDY)
+    centre = slowest(simulator, (space.low + space.high)[None] / 2)[0]
+    if np.isfinite(centre).all():
+        return centre
+    drawn = slowest(simulator, space.low + (space.high - space.low) * rng.random((ELSEWHERE, len(space))))
+    driven = drawn[np.isfinite(drawn).all(axis=1)]
+    return np.median(driven, axis=0) if len(driven) else np.full(drawn.shape[1], CRAWL)
 
 
 def substeps(simulator: Simulator, stiffest: float = 1.0) -> Int[np.ndarray, " windows"]:
     """Steps of the integrator a sample in each window: as many as its lowest speed needs in all of the prior."""
-    v_min = slowest(simulator)
+    v_min = _slowest_believed(simulator)
     corners = [_fastest_corners(simulator, float(v)) for v in (v_min.min(), v_min.max())]
     return steps_at(simulator, np.concatenate(corners), v_min, stiffest)
 

@@ -221,7 +221,7 @@ def _substeps(fit: Fit) -> Int[np.ndarray, " windows"]:
     simulator, space = fit.simulator, fit.simulator.space
     stiff = np.array([p.name.startswith("C_") for p in space.parameters])
     theta = np.clip(np.where(stiff, STIFFER, 1.0) * fit.theta, space.low, space.high)
-    return steps_at(simulator, theta[None], slowest(simulator), STABLE)
+    return steps_at(simulator, theta[None], slowest(simulator, fit.theta[None])[0], STABLE)
 
 
 def _middle(p: Parameter) -> float:
