@@ -198,6 +198,16 @@ def test_body_roll_without_a_period_is_what_it_is_with_a_short_one() -> None:
     np.testing.assert_allclose(short, none, rtol=1e-6)
 
 
+@pytest.mark.parametrize("period", [0.0, 1e-6, 0.5])
+def test_differences_by_a_lag_about_its_null_reach_below_it_and_find_none(period: float) -> None:
+    motion = motion_of(61, a_y=3.0)
+    motion[0, MOTION.index("a_y")] = 0.0
+    below, none = (
+        measured(motion, body_roll_gradient=LEAN, body_roll_lag=lag, body_roll_period=period) for lag in (-1e-4, 0.0)
+    )
+    np.testing.assert_array_equal(below, none)
+
+
 def test_body_roll_of_a_window_starts_settled() -> None:
     y = measured(motion_of(a_y=3.0), body_roll_gradient=LEAN, body_roll_lag=0.2)
     assert np.ptp(y[A_Y]) < 1e-12

@@ -226,10 +226,11 @@ def laplace(
 ) -> Laplace | None:
     """Laplace's approximation about the best fit from any start.
 
-    None where the model does not explain what was observed, so that its fit says little. Where noise depends on the
-    signal, each fit is weighted by the noise that the one before implies; weights by what was observed would favour low
-    values. They take noise as independent, so where it is not the posterior is that given the fit, wider than that
-    given the series. (MacKay, Information Theory, Inference, and Learning Algorithms, ch. 27.)
+    None where the model does not explain what was observed, so that its fit says little, and where the simulation fails
+    beside the fit. Where noise depends on the signal, each fit is weighted by the noise that the one before implies;
+    weights by what was observed would favour low values. They take noise as independent, so where it is not the
+    posterior is that given the fit, wider than that given the series. (MacKay, Information Theory, Inference, and
+    Learning Algorithms, ch. 27.)
     """
     noise, valid = simulator.noise, simulator.windows.valid
     none = np.zeros(len(simulator.nuisances))
@@ -239,7 +240,8 @@ def laplace(
         fit = _least_squares(simulator, observed, noise.std(simulator.noise_free(theta[None], eta[None])[0]), [fit])
     theta, eta = fit
     at = sensitivity(simulator, theta, eta)
-    if np.mean(((observed - at.y) / noise.std(at.y))[valid] ** 2) > EXPLAINED:
+    unexplained = np.mean(((observed - at.y) / noise.std(at.y))[valid] ** 2) > EXPLAINED
+    if unexplained or not np.isfinite(at.jacobian[:, valid]).all():
         return None
     prior = np.diag(np.concatenate([simulator.space.prior_std**-2.0, np.ones(len(eta))]))
     F = _fit_information(simulator, at) if noise.rho.any() else joint_fisher(simulator, at)

@@ -364,7 +364,7 @@ def swaying(
     if period <= SHORTEST:
         return lagged(y, before, now, lag, rate), 0.0
     T = period / (2.0 * math.pi)
-    c, stiffness, slope = lag + 2.0 * SPRUNG * T, 1.0 / (T * T), rate * (now - before)
+    c, stiffness, slope = max(lag, 0.0) + 2.0 * SPRUNG * T, 1.0 / (T * T), rate * (now - before)
     a = 0.5 * c * stiffness
     cosine, sine = _free(a, a * a - stiffness, stiffness, 1.0 / rate)
     off, d_off = y - before + c * slope, dy - slope

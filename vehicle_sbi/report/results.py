@@ -70,7 +70,10 @@ def first_answer(problem: Problem) -> str:
         return "No first answer: with plausible effects free no normal about a fit holds the posterior."
     found = problem.laplace
     if found is None:
-        return "No first answer: the best fit leaves over more than the noise. `diagnose` says what the model lacks."
+        return (
+            "No first answer: the best fit leaves over more than the noise, or the simulation fails beside it. "
+            "`diagnose` says what the model lacks."
+        )
     mean, covariance = found.marginal
     space, std = problem.simulator.space, np.sqrt(np.diag(covariance))
     width = max(map(len, space.names))
