@@ -71,13 +71,15 @@ def ideal_series(car: WholeCar, plans: Sequence[Plan], effects: Effects) -> list
 
 
 def _usable(car: WholeCar, series: Sequence[Series]) -> bool:
-    """Whether every recording has a window."""
+    """Whether every recording has a window, and the base model drives through them with the true parameters."""
     try:
         for plan, one in zip((*car.train, *car.heldout), series, strict=True):
             car.given.windows(recording("a", plan, one, car.given, {}))
     except InputError:
         return False
-    return True
+    simulator = base_model(car, series[: len(car.train)])
+    truth = np.array([car.base[name] for name in simulator.space.names])
+    return bool(np.isfinite(simulator.noise_free(truth[None])).all())
 
 
 def base_model(car: WholeCar, series: Sequence[Series]) -> Simulator:
