@@ -28,7 +28,7 @@ from vehicle_sbi.mismatch.selection.expand_and_prune import (
 )
 from vehicle_sbi.mismatch.selection.extended import with_effects
 from vehicle_sbi.mismatch.selection.inclusion import Chain
-from vehicle_sbi.mismatch.selection.pruned import Pruned, folded
+from vehicle_sbi.mismatch.selection.pruned import Pruned, folded, pooled
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
 
@@ -266,3 +266,10 @@ def test_a_friction_that_is_stated_too_high_is_found_although_nothing_changes_ne
     at, space = dict(zip(woken.simulator.space.names, woken.theta, strict=True)), woken.simulator.space
     assert at["friction_level.factor"] * at["friction_level.front"] == pytest.approx(0.4, rel=0.1)
     assert abs(at["l_f"] - TRUTH[0]) < 4.0 * np.sqrt(woken.covariance[space.column("l_f"), space.column("l_f")])
+
+
+def test_rounds_of_which_one_could_not_be_simulated_where_it_helps_to_name_are_pooled(pruned: Pruned) -> None:
+    # Without those recordings a round has fewer discrepancies; what is pooled is whether there is any.
+    found = pooled([pruned, replace(pruned, unexplained=~pruned.unexplained)])
+    assert len(found.theta) == 2 * len(pruned.theta)
+    assert found.unexplained.mean() == pytest.approx(0.5)

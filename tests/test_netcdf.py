@@ -83,8 +83,8 @@ def pruned() -> Pruned:
     sim = replace(base.simulator, space=expansion.space)
     fit = replace(base, observation=replace(base.observation, simulator=sim))
     rng, inside = np.random.default_rng(1), np.zeros(len(expansion.space))
-    included, discrepant = rng.random((N, 2)) < 0.5, rng.random((N, 3)) < 0.2
-    return Pruned(expansion, uniform(expansion.space), included, discrepant, inside, np.array([True, False]), fit, [])
+    included, unexplained = rng.random((N, 2)) < 0.5, rng.random(N) < 0.2
+    return Pruned(expansion, uniform(expansion.space), included, unexplained, inside, np.array([True, False]), fit, [])
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +182,7 @@ def test_a_diagnosis_to_which_no_effect_is_known_has_draws_too(pruned: Pruned, t
         expansion,
         pruned.theta[:, : len(base)],
         np.zeros((N, 0), dtype=bool),
-        pruned.discrepant,
+        pruned.unexplained,
         np.zeros(len(base)),
         np.zeros(0, dtype=bool),
         fit,

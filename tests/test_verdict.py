@@ -64,8 +64,7 @@ def drawn(pruned: Pruned, **there: list[int]) -> Pruned:
     names = [p.name.split(".")[0] for p in pruned.expansion.sizes]
     included = np.array([[bool(there.get(name, [0] * n)[k]) for name in names] for k in range(n)])
     theta = np.resize(pruned.theta, (n, pruned.theta.shape[1]))
-    discrepant = np.zeros((n, pruned.discrepant.shape[1]), dtype=bool)
-    return replace(pruned, included=included, theta=theta, discrepant=discrepant)
+    return replace(pruned, included=included, theta=theta, unexplained=np.zeros(n, dtype=bool))
 
 
 def test_probabilities_are_shares_of_draws(pruned: Pruned) -> None:

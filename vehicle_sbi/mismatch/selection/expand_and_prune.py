@@ -137,10 +137,11 @@ class _Told:
         included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
         discrepant = drawn.included[:, named:] & (drawn.amplitude[:, named:] >= plain_from(expansion, self.problem))
         left = remainders(self.fit, self.off, drawn.coefficient[:, first:], discrepant)
+        unexplained = np.asarray(discrepant.any(axis=1))
         theta, shows = _theta(expansion, drawn.coefficient), showing(expansion, self.problem)
         beyond = ((theta < space.low) | (theta > space.high)).mean(axis=0)
         within = folded(theta, space.low, space.high)
-        return Pruned(expansion, within, included, discrepant, beyond, shows, self.fit, left)
+        return Pruned(expansion, within, included, unexplained, beyond, shows, self.fit, left)
 
     def again(self) -> _Round:
         """Where to fit next, how strongly to shrink, and what was recorded less the discrepancy that was found."""

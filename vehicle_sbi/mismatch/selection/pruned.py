@@ -16,15 +16,15 @@ from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
 @dataclass(frozen=True)
 class Pruned:
     """Draws from the posterior over the expanded model: `theta` (n, d) in the parameters' units, `included` (n, sizes)
-    says which sizes are away from their nulls, `discrepant` (n, groups) which discrepancies are as large as would be
-    plain to see, `beyond` (d,) which share of draws lay beyond each parameter's box before they were folded back.
-    `shows` (sizes) says which sizes would be seen beside the base parameters; others are not named, and only widen what
-    is said of those."""
+    says which sizes are away from their nulls, `unexplained` (n,) whether a discrepancy, which no effect stands for, is
+    as large as would be plain to see, `beyond` (d,) which share of draws lay beyond each parameter's box before they
+    were folded back. `shows` (sizes) says which sizes would be seen beside the base parameters; others are not named,
+    and only widen what is said of those."""
 
     expansion: Expansion
     theta: Float[np.ndarray, "n d"]
     included: Bool[np.ndarray, "n sizes"]
-    discrepant: Bool[np.ndarray, "n groups"]
+    unexplained: Bool[np.ndarray, " n"]
     beyond: Float[np.ndarray, " d"]
     shows: Bool[np.ndarray, " sizes"]
     fit: Fit
@@ -50,11 +50,6 @@ class Pruned:
     def any_of(self, effects: Collection[str]) -> float:
         """The probability that at least one of some effects is missing."""
         return float(np.any([self.missing[name] for name in effects], axis=0).mean())
-
-    @cached_property
-    def unexplained(self) -> Bool[np.ndarray, " n"]:
-        """In which draws there is a discrepancy, which no effect stands for, as large as would be plain to see."""
-        return np.any(self.discrepant, axis=1)
 
     @cached_property
     def sets(self) -> dict[tuple[str, ...], Bool[np.ndarray, " n"]]:
@@ -84,8 +79,8 @@ def folded(
 
 def pooled(found: Sequence[Pruned]) -> Pruned:
     """Draws of several linearisations together; what is left over is said of the last."""
-    theta, included, discrepant = (
-        np.concatenate([getattr(one, name) for one in found]) for name in ("theta", "included", "discrepant")
+    theta, included, unexplained = (
+        np.concatenate([getattr(one, name) for one in found]) for name in ("theta", "included", "unexplained")
     )
     beyond = np.mean([one.beyond for one in found], axis=0)
-    return replace(found[-1], theta=theta, included=included, discrepant=discrepant, beyond=beyond)
+    return replace(found[-1], theta=theta, included=included, unexplained=unexplained, beyond=beyond)
