@@ -20,6 +20,8 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     to_nulls,
 )
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, responses
+from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection import expand_and_prune as pruning
 from vehicle_sbi.mismatch.selection.expand_and_prune import (
     Budget,
     _likeliest_before,
@@ -28,7 +30,7 @@ from vehicle_sbi.mismatch.selection.expand_and_prune import (
 )
 from vehicle_sbi.mismatch.selection.extended import with_effects
 from vehicle_sbi.mismatch.selection.inclusion import Chain
-from vehicle_sbi.mismatch.selection.pruned import Pruned, folded, pooled
+from vehicle_sbi.mismatch.selection.pruned import Pruned, folded
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
 
@@ -268,8 +270,19 @@ def test_a_friction_that_is_stated_too_high_is_found_although_nothing_changes_ne
     assert abs(at["l_f"] - TRUTH[0]) < 4.0 * np.sqrt(woken.covariance[space.column("l_f"), space.column("l_f")])
 
 
-def test_rounds_of_which_one_could_not_be_simulated_where_it_helps_to_name_are_pooled(pruned: Pruned) -> None:
-    # Without those recordings a round has fewer discrepancies; what is pooled is whether there is any.
-    found = pooled([pruned, replace(pruned, unexplained=~pruned.unexplained)])
-    assert len(found.theta) == 2 * len(pruned.theta)
-    assert found.unexplained.mean() == pytest.approx(0.5)
+def test_rounds_of_which_the_last_cannot_be_simulated_where_it_helps_to_name_are_pooled(
+    base: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Asked before the first round and in each of three: in the last there are half as many discrepancies.
+    asked, further = list[Fit](), pruning._further
+
+    def fails_last(fit: Fit, naming: Observation | None) -> list[Fit]:
+        asked.append(fit)
+        return further(fit, naming) if len(asked) < 4 else []
+
+    monkeypatch.setattr(pruning, "_further", fails_last)
+    known = left_out(base.simulator, base.theta)
+    found = expand_and_prune(base, known, base.observation, prior=stated(), rng=np.random.default_rng(0), budget=SHORT)
+    assert found is not None
+    assert len(asked) == 4
+    assert found.unexplained.shape == (len(found.theta),)

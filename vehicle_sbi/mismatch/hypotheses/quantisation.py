@@ -10,7 +10,7 @@ Beside effects, the likeliest step of each channel is sampled, by a column that 
 all steps together is so much less for that one as the others are less likely than it on average.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,8 +23,7 @@ from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linearised import LEAST_VARIANCE, Linearised
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
-from vehicle_sbi.mismatch.hypotheses.regressor import Target
-from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.mismatch.hypotheses.regressor import Target, size_of_latent
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 
 FINEST = 0.7  # standard deviations of the noise, below which a step cannot be seen
@@ -73,21 +72,25 @@ class Staircase:
         best = (series.astype(np.float32) @ self._errors.T).max(axis=1).astype(float)
         return 0.5 * np.maximum(best / std, 0.0) ** 2
 
-    @cached_property
+    @property
     def _errors(self) -> Float[np.ndarray, "steps neighbours"]:
         """Of each step its error as innovations of length 1, in single precision."""
-        return np.concatenate([errors / size[:, None] for errors, size in self._chunks()], dtype=np.float32)
+        return self._measured[0]
 
-    @cached_property
+    @property
     def _sizes(self) -> Float[np.ndarray, " steps"]:
         """Of each step the length of its error as innovations."""
-        return np.concatenate([size for _, size in self._chunks()])
+        return self._measured[1]
 
-    def _chunks(self) -> Iterator[tuple[Float[np.ndarray, "n neighbours"], Float[np.ndarray, " n"]]]:
-        """Errors of some steps after others as innovations, and their lengths."""
+    @cached_property
+    def _measured(self) -> tuple[Float[np.ndarray, "steps neighbours"], Float[np.ndarray, " steps"]]:
+        """Directions and lengths of all steps' errors, some steps after others for memory's sake."""
+        directions, sizes = [], []
         for steps in np.array_split(self.steps, -(-len(self.steps) // CHUNK)):
             errors = self._innovations(rounding(self.said, steps[:, None]))
-            yield errors, np.sqrt(np.maximum(np.sum(errors**2, axis=1), LEAST_VARIANCE))
+            sizes.append(np.sqrt(np.maximum(np.sum(errors**2, axis=1), LEAST_VARIANCE)))
+            directions.append((errors / sizes[-1][:, None]).astype(np.float32))
+        return np.concatenate(directions), np.concatenate(sizes)
 
     def _innovations(self, series: Float[np.ndarray, "n time"]) -> Float[np.ndarray, "n neighbours"]:
         rho = self.about.fit.simulator.noise.rho[self.channel]
@@ -135,10 +138,9 @@ class Reading:
         """The error of a sensor that rounds to these steps what the fit says was there."""
         name = fit.simulator.windows.channels[self.channel]
         unit, row = CHANNELS[name].unit, MEASUREMENTS.index(name)
-        size = Parameter(
-            name="latent.steps", unit=unit, low=-self.step, high=self.step, fields=("latent_steps",), null=0.0
+        target = Target(
+            f"rounding of {name} to steps of {self.step:.2g} {unit}", size_of_latent("steps", unit, self.step), row
         )
-        target = Target(f"rounding of {name} to steps of {self.step:.2g} {unit}", size, row)
         series = np.zeros((1, *fit.at.y.shape))
         series[0, self.channel] = error = rounding(predicted(fit)[self.channel], self.step)
         return InSteps(target, "in steps", series, fit.metric(series).reshape(1, -1), error[None], self.share)

@@ -86,15 +86,15 @@ def targets(simulator: Simulator, y: Float[np.ndarray, "channels time"]) -> list
     weight, L = GRAVITY * float(simulator.nominal["m"]), float(simulator.nominal["L"])
     steering = np.sqrt(np.mean(simulator.windows.u[..., INPUTS.index("steering")] ** 2))
     found = [
-        Target("force along x", _size("x", "N", LOAD * weight)),
-        Target("force along y", _size("y", "N", LOAD * weight)),
-        Target("moment about z", _size("z", "N m", LOAD * weight * L)),
+        Target("force along x", size_of_latent("x", "N", LOAD * weight)),
+        Target("force along y", size_of_latent("y", "N", LOAD * weight)),
+        Target("moment about z", size_of_latent("z", "N m", LOAD * weight * L)),
     ]
     if steering > 0.0:
-        found.append(Target("error of the steering angle", _size("steering", "rad", ERROR * float(steering))))
+        found.append(Target("error of the steering angle", size_of_latent("steering", "rad", ERROR * float(steering))))
     for c, channel in enumerate(simulator.windows.channels):
         largest = ERROR * float(np.sqrt(np.nanmean(y[c] ** 2))) + 3.0 * float(simulator.noise.floor[c])
-        size = _size("sensor", CHANNELS[channel].unit, largest)
+        size = size_of_latent("sensor", CHANNELS[channel].unit, largest)
         found.append(Target(f"error of the sensor of {channel}", size, MEASUREMENTS.index(channel)))
     return found
 
@@ -118,7 +118,7 @@ def tested(about: Linearised, effects: Sequence[Hypothesis]) -> list[Hypothesis]
     return [*itertools.compress(found, new)]
 
 
-def _size(name: str, unit: str, largest: float) -> Parameter:
+def size_of_latent(name: str, unit: str, largest: float) -> Parameter:
     return Parameter(name=f"latent.{name}", unit=unit, low=-largest, high=largest, fields=(f"latent_{name}",), null=0.0)
 
 
