@@ -13,9 +13,9 @@ from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     LinearGaussian,
+    beyond_base,
     linear_gaussian,
     order,
-    plain_from,
     showing,
     to_nulls,
 )
@@ -128,17 +128,18 @@ def test_a_size_shows_by_what_base_parameters_leave_of_it(expanded: tuple[Expans
         assert showing(roll, LinearGaussian(H, np.zeros(columns), np.zeros(0, dtype=int))).tolist() == [expected]
 
 
-def test_a_discrepancy_is_plain_by_all_that_base_parameters_leave_of_its_columns(
-    expanded: tuple[Expansion, Fit],
-) -> None:
+def test_a_discrepancy_shows_by_what_base_parameters_leave_of_it(expanded: tuple[Expansion, Fit]) -> None:
     # Two groups, of three columns and of one; a base column takes c^2 s^2 / (s^2 + 1) of one column of the first.
     roll, s, t, coherence = expanded[0].only({"body_roll.gradient"}), 50.0, 20.0, 0.8
     columns = len(roll.unit)
     H = np.diag(np.repeat([s**2, 1.0, t**2], [len(roll.base), columns - len(roll.base), 4]))
     H[0, columns] = H[columns, 0] = coherence * s * t
     problem = LinearGaussian(H, np.zeros(len(H)), columns + np.array([3, 4]))
-    left = 3.0 - coherence**2 * s**2 / (s**2 + 1.0)
-    np.testing.assert_allclose(plain_from(roll, problem), [PLAIN / (t * np.sqrt(left)), PLAIN / t], rtol=1e-12)
+    left = 1.0 - coherence**2 * s**2 / (s**2 + 1.0)
+    drawn = np.zeros((3, len(H)))
+    drawn[:, columns:] = [[1.0, 0.0, 0.0, 0.0], [0.1, 0.3, -0.4, 2.0], [0.0, 0.0, 0.0, -1.0]]
+    ratios = t * np.array([[np.sqrt(left), 0.0], [np.sqrt(0.01 * left + 0.25), 2.0], [0.0, 1.0]])
+    np.testing.assert_allclose(beyond_base(roll, problem, drawn), ratios, rtol=1e-12)
 
 
 def test_coefficients_say_where_parameters_are(expanded: tuple[Expansion, Fit]) -> None:

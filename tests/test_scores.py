@@ -22,6 +22,7 @@ def truth(kind: str, effects: dict[str, dict[str, float]], level: str = "L0", **
 def verdict(explanations: list[tuple[list[str], float]], none: float, unknown: float, **more: object) -> dict:
     named = [{"effects": names, "probability": p, "parameters": {}, "acts": {}} for names, p in explanations]
     plain = {"detected": True, "p_value": 0.001, "explanations": named, "p_none": none, "p_unknown": unknown}
+    plain["p_unknown_alone"] = unknown
     plain |= {"effects": {effect: p for names, p in explanations for effect in names}}
     return plain | {"mismatch": [], "indistinguishable": [], "unknown": None, "fit": {}, "base_parameters": {}} | more
 
@@ -65,8 +66,12 @@ def test_scores_of_hand_made_verdicts() -> None:
     mixed = verdict([(["gyro_bias"], 0.0), (["road_bank"], 0.0)], 0.0, 1.0)
     for one, beside in zip(mixed["explanations"], (0.6, 0.3), strict=True):
         one["beside_unknown"] = beside
+    mixed["p_unknown_alone"] = 0.05  # of 0.05 that is left, sets beside something unknown are not listed
     told = scores.score(real, mixed)
     assert (told["correct"], told["probability"], told["set_size"]) == (True, 0.6, 2)
+    many = {"p_unknown_alone": 0.05, "effects": {"gyro_bias": 0.9}}  # sets of 0.35 in all are not listed
+    told = scores.score(real, verdict([(["gyro_bias", "body_roll"], 0.2)], 0.0, 0.6) | many)
+    assert (told["correct"], told["named"], told["probability"]) == (True, True, 0.2)
     assert scores.score(bias, mixed)["answer"] == "unknown"  # in simulation nothing unknown stands beside what is known
 
 
@@ -76,6 +81,7 @@ def test_a_known_effect_beside_something_unknown_is_told_from_something_unknown_
     for beside in (0.0, 0.4, 0.5):  # of 0.9 that something is unknown; alone are 0.9, 0.5 and 0.4
         said = verdict([(["gyro_bias"], 0.1)], 0.0, 0.9)
         said["explanations"][0]["beside_unknown"] = beside
+        said["p_unknown_alone"] -= beside
         scored.append(scores.score(strange, said))
     assert [one["named_beside"] for one in scored] == [False, False, True]
     assert all(one["said_unknown"] and not one["wrong_name"] for one in scored)
@@ -290,7 +296,7 @@ def test_sizes_are_those_of_the_set_that_is_likeliest_by_itself_or_beside_someth
     said["explanations"][1] |= {
         "beside_unknown": 0.8, "parameters": {"gyro_bias.z": {"mean": 0.011, "q05": 0.009, "q95": 0.013}}
     }  # fmt: skip
-    row = scores.score(real, said)
+    row = scores.score(real, said | {"p_unknown_alone": 0.1})
     assert row["correct"]
     assert (row["size_error"], row["size_covered"]) == (pytest.approx(0.1), 1.0)
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from vehicle_sbi.mismatch.answer.wording import NAMED
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 
@@ -40,7 +41,7 @@ Json = Mapping[str, Any]
 Span = tuple[float, float]
 SILENT: Json = {
     "detected": False, "p_value": 1.0, "explanations": [], "effects": {}, "p_none": 0.0, "p_unknown": 0.0,
-    "mismatch": [], "unknown": None,
+    "p_unknown_alone": 0.0, "mismatch": [], "unknown": None,
 }  # fmt: skip
 """A verdict that says nothing."""
 CHOOSING = ("bic", "lasso")
@@ -50,11 +51,12 @@ NO_VERDICT = "no verdict"  # the answer of a diagnosis that crashed or ran out o
 
 def answers(verdict: Json, *, apart: bool) -> list[tuple[Answer, float]]:
     """All answers with their probabilities, the likeliest first. `apart`: each known set with something unknown beside
-    it is an answer of its own, as of real recordings; else it is part of *unknown*."""
+    it is an answer of its own, as of real recordings; else it is part of *unknown*. Sets that a verdict does not list
+    are no answers."""
     named = [(frozenset(e["effects"]), float(e["probability"])) for e in verdict["explanations"]]
     beside = [(frozenset(e["effects"]) | UNKNOWN, e.get("beside_unknown", 0.0)) for e in verdict["explanations"]]
     beside = beside if apart else []
-    unknown = max(float(verdict["p_unknown"]) - sum(p for _, p in beside), 0.0)
+    unknown = float(verdict["p_unknown_alone" if apart else "p_unknown"])
     rest = [(NONE, float(verdict["p_none"])), (UNKNOWN, unknown)]
     return sorted([*named, *beside, *rest], key=lambda one: -one[1])
 
@@ -75,6 +77,11 @@ def _half(answer: Answer, truth: Json, verdict: Json) -> bool:
     groups = [{name.split(".")[0] for name in group} for group in verdict.get("indistinguishable", [])]
     groups = [group for group in groups if group & answer]
     return right(truth) <= answer.union(*groups) if truth["kind"] in ("single", "pair") else False
+
+
+def _named(truth: Json, verdict: Json) -> bool:
+    """Whether the verdict gives each true effect a probability above that from which its headline names it."""
+    return min(verdict["effects"].get(effect, 0.0) for effect in truth["effects"]) > NAMED
 
 
 def _names_beside(verdict: Json) -> bool:
@@ -113,6 +120,7 @@ def score(truth: Json, verdict: Json, oracle: Mapping[str, float] | None = None)
         "in_set": any(correct[:likely]),
         "set_size": likely,
         "both": correct[0] if kind == "pair" else None,
+        "named": _named(truth, verdict) if kind in ("single", "pair") else None,
         "wrong_name": best[1] > max(missing) if kind == "outside" else None,
         "said_unknown": top[0] == UNKNOWN if kind == "outside" else None,
         "named_beside": _names_beside(verdict) if kind == "outside" and top[0] == UNKNOWN else None,

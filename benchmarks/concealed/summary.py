@@ -115,6 +115,7 @@ METRICS = (
     Metric(f"this project's where the observer's from what is fitted is above {TELLING}", _told("single"), "correct"),
     Metric(f"top-1, SNR 8 and more, {ALIKE}", _from(8.0, "single", "snr"), "top1"),
     Metric(f"top-2, given detected, {ALIKE}", _kind("single", detected=True), "top2"),
+    Metric("every true effect named above 0.5", _kind("single", "pair", detected=True), "named"),
     Metric("truth in the 90 % set", _kind("single", "pair", detected=True), "in_set", "0.90"),
     Metric("size of the 90 % set", _kind("single", "pair", detected=True), "set_size", "2"),
     Metric("wrong name, truth outside the catalogue", _kind("outside"), "wrong_name", "0.10"),

@@ -25,6 +25,7 @@ from vehicle_sbi.inference.simulator import Simulator
 
 LEVEL, POWER = 0.05, 0.8  # of the two-sided test by which a size is said to be seen
 SEEN = float(norm.isf(LEVEL / 2) + norm.ppf(POWER))  # standard deviations that this takes, 2.80
+TOLD = 4.0  # signal-to-noise ratio from which what is missing can be told from nothing
 PLAIN = 8.0  # signal-to-noise ratio of an effect that is plain to see
 STEP = 1e-3  # of the prior's width or of a nuisance's standard deviation, for central differences
 MOST_STEPS = 30  # of a fit

@@ -134,7 +134,8 @@ class Verdict:
 
     `headline` is the answer in a line, `lines` are at most five more, `sentence` all of them. `explanations`: sets of
     effects, the likeliest first; `effects`: how probable it is that each is missing, whatever else is; `p_none`: that
-    nothing is, `p_unknown`: that there is a discrepancy which no effect stands for and that is plain to see;
+    nothing is, `p_unknown`: that there is a discrepancy which no effect stands for and that can be told
+    from nothing, `p_unknown_alone`: that there is, and no effect is missing;
     `share_explained`: what the likeliest set explains of the misfit; `indistinguishable`: groups of effects that stand
     for each other; `could_show` and `invisible`: which the recordings would have shown with a power of 80 %, and which
     they could not;
@@ -152,6 +153,7 @@ class Verdict:
     effects: dict[str, float]
     p_none: float
     p_unknown: float
+    p_unknown_alone: float
     share_explained: float | None
     unknown: Unknown | None
     indistinguishable: list[list[str]]

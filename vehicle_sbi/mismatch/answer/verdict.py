@@ -85,8 +85,9 @@ def verdict(case: Case, found: Found) -> Verdict:
         mismatch=found.examined.places,
         explanations=_explanations(pruned, model),
         effects=pruned.effects if pruned else {},
-        p_none=_p_none(pruned, detected),
+        p_none=float((pruned.nothing & ~pruned.unexplained).mean()) if pruned else float(not detected),
         p_unknown=float(pruned.unexplained.mean()) if pruned else float(detected),
+        p_unknown_alone=float((pruned.nothing & pruned.unexplained).mean()) if pruned else float(detected),
         share_explained=_share_explained(found.base.fit, model.fit) if model.effects else None,
         unknown=_unknown(pruned) if pruned and detected else None,
         indistinguishable=alternatives(pruned, found.seen.alike) if pruned and detected else [],
@@ -114,12 +115,6 @@ def _in_words(answer: Verdict, found: Found, *, trusted: bool) -> Verdict:
     context = Context(found.base.fit.simulator, found.seen, found.predictions, trusted)
     said, more = headline(answer, trusted=trusted), lines(answer, context)
     return replace(answer, headline=said, lines=more, sentence=" ".join([said, *more]))
-
-
-def _p_none(pruned: Pruned | None, detected: bool) -> float:
-    if pruned is None:
-        return float(not detected)
-    return float((pruned.sets.get((), np.zeros(len(pruned.theta), dtype=bool)) & ~pruned.unexplained).mean())
 
 
 def _explanations(pruned: Pruned | None, model: Model) -> list[Named]:

@@ -77,15 +77,19 @@ def showing(expansion: Expansion, problem: LinearGaussian) -> Bool[np.ndarray, "
     return np.sqrt(left[len(left) - len(expansion.sizes) :]) * expansion.reach >= SEEN
 
 
-def plain_from(expansion: Expansion, problem: LinearGaussian) -> Float[np.ndarray, " groups"]:
-    """Amplitude from which each discrepancy is plain to see: of what its columns are expected to change then, base
-    parameters leave a root of the sum of squares of PLAIN standard deviations of the noise."""
+def beyond_base(
+    expansion: Expansion, problem: LinearGaussian, coefficient: Float[np.ndarray, "n columns"]
+) -> Float[np.ndarray, "n groups"]:
+    """What each discrepancy changes in each draw without what base parameters take over, as a signal-to-noise ratio:
+    the root of its sum of squares in standard deviations of the noise."""
     own, first = len(expansion.base), len(expansion.unit)
-    left = _left(expansion, problem)
-    sums = [
-        left[start - own : stop - own].sum() for start, stop in zip([first, *problem.stop], problem.stop, strict=False)
-    ]
-    return PLAIN / np.sqrt(np.maximum(sums, 1e-300))
+    among, shared, H = problem.H[:own, :own] + np.eye(own), problem.H[:own], problem.H
+    squares = []
+    for start, stop in zip([first, *problem.stop], problem.stop, strict=False):
+        here = slice(start, stop)
+        left = H[here, here] - shared[:, here].T @ np.linalg.solve(among, shared[:, here])
+        squares.append(np.einsum("ni,ij,nj->n", coefficient[:, here], left, coefficient[:, here], optimize=True))
+    return np.sqrt(np.maximum(np.array(squares).reshape(len(squares), -1).T, 0.0))
 
 
 def _left(expansion: Expansion, problem: LinearGaussian) -> Float[np.ndarray, " columns"]:

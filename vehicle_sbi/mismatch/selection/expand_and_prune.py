@@ -15,14 +15,15 @@ from jaxtyping import Float
 
 from vehicle_sbi.inference.directions import Direction, middle
 from vehicle_sbi.inference.effect_prior import EffectPrior
+from vehicle_sbi.inference.information import TOLD
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere, under_own_noise
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import SHARES, Fit, Shrinkage
 from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     LinearGaussian,
+    beyond_base,
     linear_gaussian,
     order,
-    plain_from,
     showing,
     to_nulls,
 )
@@ -135,7 +136,7 @@ class _Told:
         expansion, drawn, space = self.now.expansion, self.drawn, self.now.expansion.space
         named, first = len(expansion.groups), len(expansion.unit)
         included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
-        discrepant = drawn.included[:, named:] & (drawn.amplitude[:, named:] >= plain_from(expansion, self.problem))
+        discrepant = drawn.included[:, named:] & (beyond_base(expansion, self.problem, drawn.coefficient) >= TOLD)
         left = remainders(self.fit, self.off, drawn.coefficient[:, first:], discrepant)
         unexplained = np.asarray(discrepant.any(axis=1))
         theta, shows = _theta(expansion, drawn.coefficient), showing(expansion, self.problem)

@@ -17,7 +17,7 @@ from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
 class Pruned:
     """Draws from the posterior over the expanded model: `theta` (n, d) in the parameters' units, `included` (n, sizes)
     says which sizes are away from their nulls, `unexplained` (n,) whether a discrepancy, which no effect stands for, is
-    as large as would be plain to see, `beyond` (d,) which share of draws lay beyond each parameter's box before they
+    large enough to be told from nothing, `beyond` (d,) which share of draws lay beyond each parameter's box before they
     were folded back. `shows` (sizes) says which sizes would be seen beside the base parameters; others are not named,
     and only widen what is said of those."""
 
@@ -50,6 +50,11 @@ class Pruned:
     def any_of(self, effects: Collection[str]) -> float:
         """The probability that at least one of some effects is missing."""
         return float(np.any([self.missing[name] for name in effects], axis=0).mean())
+
+    @property
+    def nothing(self) -> Bool[np.ndarray, " n"]:
+        """In which draws no effect that shows is away from its null."""
+        return self.sets.get((), np.zeros(len(self.theta), dtype=bool))
 
     @cached_property
     def sets(self) -> dict[tuple[str, ...], Bool[np.ndarray, " n"]]:
