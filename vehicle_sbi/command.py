@@ -74,6 +74,7 @@ VERBS: Mapping[str, Verb] = {
     "export": Verb(script="export", file="run"),
     "report": Verb(script="report", file="runs"),
     "catalogue": Verb(script="catalogue"),
+    "recordings": Verb(script="recordings"),
 }
 
 

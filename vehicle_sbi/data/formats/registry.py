@@ -11,6 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from vehicle_sbi.data import elsewhere
 from vehicle_sbi.errors import InputError
 
 if TYPE_CHECKING:
@@ -79,13 +80,18 @@ def read_tables(path: str | Path, dbc: str | Path | None = None) -> "tuple[Table
     return format_of(path).read(path, database)
 
 
+def _where_from(path: Path) -> str:
+    """What helps where a configured recording is not here."""
+    return "; vehicle-sbi recordings says where to get it" if elsewhere.knows(path) else ""
+
+
 def format_of(path: Path) -> Format:
     """How a path is read; InputError if there is no such file, or one of a suffix that no reader knows."""
     if path.is_dir():
         return _format_of_folder(path)
     known = path.suffix.lower() in FORMATS
     if not path.is_file() and (known or not path.suffix):
-        raise InputError(f"{path}: {'is no file' if path.exists() else 'no such file'}")
+        raise InputError(f"{path}: {'is no file' if path.exists() else 'no such file'}{_where_from(path)}")
     if not known:
         raise InputError(
             f"{path}: files ending in '{path.suffix}' are not read; those that are: {', '.join(FORMATS)}, "
