@@ -90,8 +90,7 @@ def selected(given: Problem, *, discrepancy: float | None = None) -> Sampled:
     """Draws of the diagnosis' own sampler."""
     prior = given.prior if discrepancy is None else replace(given.prior, discrepancy=discrepancy)
     groups = groups_of(given.pruned.expansion, given.off, prior)
-    shared = Shared(spikes=(prior.negligible,))
-    return sample(given.linear.H, given.linear.b, groups, shared, CHAIN, np.random.default_rng(0))
+    return sample(given.linear.H, given.linear.b, groups, Shared(), CHAIN, np.random.default_rng(0))
 
 
 def chances(given: Problem, drawn: Sampled) -> Probabilities:

@@ -175,7 +175,7 @@ def test_beliefs_are_probabilities_and_amplitudes_beyond_nothing(kind: str, expa
         assert one.amplitude.shape == one.share.shape
         assert one.share.min() > 0.0
         assert one.share.sum() == pytest.approx(1.0)
-        assert 0.0 < one.nothing * (PRIOR.negligible if one.named else 1.0) < one.amplitude.min()
+        assert 0.0 < one.nothing < one.amplitude.min()
         assert {*one.sign.tolist()} <= {-1, 0, 1}
 
 
@@ -185,10 +185,7 @@ def test_where_nothing_is_recorded_what_is_believed_comes_back(kind: str, expans
     # independent. Five standard deviations are allowed.
     believed = BELIEVED[kind](expansion)
     groups, n = Groups.of(believed, 1), 1 + sum(len(one.sign) for one in believed)
-    shared, chain = (
-        Shared(spikes=(PRIOR.negligible,), missing=(1.0,), discrepant=(1.0,)),
-        Chain(chains=2, sweeps=2050, forgotten=50, every=1),
-    )
+    shared, chain = Shared(missing=(1.0,), discrepant=(1.0,)), Chain(chains=2, sweeps=2050, forgotten=50, every=1)
     drawn = sample(np.zeros((n, n)), np.zeros(n), groups, shared, chain, np.random.default_rng(0))
     for k, one in enumerate(believed):
         off = 5.0 * np.sqrt(one.rate * (1.0 - one.rate) / 1000.0)

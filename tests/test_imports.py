@@ -16,9 +16,9 @@ data.checks.units data.checks.signs data.checks.offsets data.checks.shifts data.
 data.units data.formats.limits data.formats.table data.formats.lines data.formats.text data.formats.vbo
 data.formats.parquet data.formats.comma2k19 data.formats.matlab data.formats.ros_definitions data.formats.ros_messages
 data.formats.ros_unpacking data.formats.rosbag data.formats.can_frames data.formats.can_log data.formats.mdf_blocks
-data.elsewhere data.formats.registry data.formats.mdf data.mapping data.readers data.inspection.units data.inspection.names
-data.inspection.contents data.inspection.guess data.inspection.excitation data.inspection.inspection
-data.inspection.spoken data.inspection.written data.manoeuvre data.noise
+data.elsewhere data.formats.registry data.formats.mdf data.mapping data.readers data.inspection.units
+data.inspection.names data.inspection.contents data.inspection.guess data.inspection.excitation
+data.inspection.inspection data.inspection.spoken data.inspection.written data.manoeuvre data.noise
 inference.prior inference.effect_prior inference.spike_slab inference.importance inference.simulator
 inference.information inference.setup inference.informative inference.embedding inference.emulator inference.features
 inference.estimator inference.training inference.proposal inference.doubts inference.rounds

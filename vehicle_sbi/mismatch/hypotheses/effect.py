@@ -46,7 +46,7 @@ def believed(expansion: Expansion, prior: EffectPrior) -> list[Belief]:
         Belief(
             named=True,
             rate=float(expansion.rates[stop - 1]),
-            nothing=1.0,
+            nothing=prior.negligible,
             amplitude=amplitude,
             share=share,
             sign=expansion.sign[stop - n : stop],

@@ -54,8 +54,8 @@ class Belief:
     """What is believed of neighbouring columns of the linear model, which are missing together.
 
     They are missing with probability `rate`. Their coefficients then have one of the standard deviations `amplitude`,
-    with probabilities `share`, else `nothing`. An effect is `named`; its `nothing` is in units of what counts as
-    negligible. `sign` is 1 for a coefficient that cannot be negative, -1 for one that cannot be positive, else 0.
+    with probabilities `share`, else `nothing`, which is negligible. An effect is `named`. `sign` is 1 for a coefficient
+    that cannot be negative, -1 for one that cannot be positive, else 0.
     """
 
     named: bool

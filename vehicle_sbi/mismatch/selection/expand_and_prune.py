@@ -189,8 +189,7 @@ class _Asked:
         about = [to_nulls(expansion, one) for one in fits]
         problem = linear_gaussian(expansion, [*zip(about, map(_columns, off), strict=False)])
         groups = groups_of(expansion, [*itertools.chain(*off)], self.prior)
-        shared = Shared(spikes=(self.prior.negligible,))
-        return _Told(now, fit, off[0], problem, sample(problem.H, problem.b, groups, shared, chain, self.rng))
+        return _Told(now, fit, off[0], problem, sample(problem.H, problem.b, groups, Shared(), chain, self.rng))
 
 
 def _by_name(

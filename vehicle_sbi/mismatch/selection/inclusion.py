@@ -6,10 +6,9 @@ With H = X X' and b = X r of whitened columns X and residual r, coefficients nor
 
 where the state s gives each group of columns one of a few amplitudes. A named effect has a *spike*, a size so small
 that it is negligible, and *slabs*, sizes that it has where it is missing (George and McCulloch 1993, stochastic search
-variable selection). How small is negligible is learned, for a model is as exact as its own equations are: where much
-is left over that no column explains, small sizes stand for that. So is how much is missing at all, a factor on the
-odds of all rates. A coefficient that may not be negative counts in a slab by its normal's mass on the right side of
-zero. Coefficients are integrated out; those of the states that are kept are drawn afterwards.
+variable selection). How much is missing at all is learned, as a factor on the odds of all rates. A coefficient that
+may not be negative counts in a slab by its normal's mass on the right side of zero. Coefficients are integrated out;
+those of the states that are kept are drawn afterwards.
 
 One group's amplitude is drawn given all others; with S = A^-1, m = S b and the eigenvalues e and vectors V of the
 group's block of S, a change d of its precision changes the log evidence by
@@ -47,8 +46,7 @@ class Groups:
     """What is believed of groups of neighbouring columns, as arrays.
 
     `stop` is where each group's columns end; those before `start` are always there, with a precision of 1. Levels begin
-    with nothing, the spike of a named group, and end with zeros where a group has fewer. Spikes and rates of named
-    groups follow what is learned of all.
+    with nothing, the spike of a named group, and end with zeros where a group has fewer.
     """
 
     start: int
@@ -81,21 +79,18 @@ def _levels(first: float, others: Float[np.ndarray, " given"], most: int) -> Flo
 
 @dataclass(frozen=True, kw_only=True)
 class Shared:
-    """What all groups share and is learned: spikes as shares of an effect's typical size, factors on the odds of
-    effects and of discrepancies, each as likely as the others of its list before."""
+    """What all groups share and is learned: factors on the odds of effects and of discrepancies, each as likely as the
+    others of its list before."""
 
-    spikes: Sequence[float] = (0.003, 0.03, 0.1, 0.2)
     missing: Sequence[float] = (0.03, 0.1, 0.3, 1.0)
     discrepant: Sequence[float] = (0.1, 0.3, 1.0)
 
 
 @dataclass(frozen=True)
 class Sampled:
-    """States and coefficients that were kept: `level` of each group, its `amplitude` there (of a named group in its
-    spike in units of what is negligible), `coefficient` of each column."""
+    """States and coefficients that were kept: `level` of each group, `coefficient` of each column."""
 
     level: Int[np.ndarray, "n k"]
-    amplitude: Float[np.ndarray, "n k"]
     coefficient: Float[np.ndarray, "n columns"]
 
     @property
@@ -118,14 +113,13 @@ def sample(
         begin = np.full(len(groups.stop), k % 2, dtype=np.int64)
         found.append(
             _run(
-                H, b, groups.start, groups.stop, groups.amplitude, groups.share, groups.rate,
-                groups.named, groups.sign, np.array(shared.spikes), np.array(shared.missing),
-                np.array(shared.discrepant), begin, chain.sweeps, chain.forgotten, chain.every,
-                int(rng.integers(2**31)),
+                H, b, groups.start, groups.stop, groups.amplitude, groups.share, groups.rate, groups.named, groups.sign,
+                np.array(shared.missing), np.array(shared.discrepant), begin, chain.sweeps, chain.forgotten,
+                chain.every, int(rng.integers(2**31)),
             )
         )  # fmt: skip
     level, coefficient = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return Sampled(level, groups.amplitude[np.arange(len(groups.stop)), level], coefficient)
+    return Sampled(level, coefficient)
 
 
 @njit(cache=True)
@@ -160,23 +154,10 @@ def _chosen(log_weight: np.ndarray) -> int:
 
 @njit(cache=True)
 def _factorised(H, b, precision):
-    """S = (H + L)^-1, m = S b, and the log evidence."""
-    A = H + np.diag(precision)
-    L = np.linalg.cholesky(A)
-    S = np.linalg.inv(A)
+    """S = (H + L)^-1 and m = S b."""
+    S = np.linalg.inv(H + np.diag(precision))
     S = 0.5 * (S + S.T)
-    m = S @ b
-    return S, m, 0.5 * (b @ m) - np.log(np.diag(L)).sum() + 0.5 * np.log(precision).sum()
-
-
-@njit(cache=True)
-def _slabs(m, S, sign, slab):
-    """Log weights of all coefficients in slabs, `slab` being their standard deviations there and 0 elsewhere."""
-    total = 0.0
-    for j in range(len(m)):
-        if slab[j] > 0.0:
-            total += _log_slab(m[j], S[j, j], slab[j], sign[j])
-    return total
+    return S, S @ b
 
 
 @njit(cache=True)
@@ -192,7 +173,7 @@ def _log_prior(level, share, rate, named, missing, discrepant):
 
 
 @njit(cache=True)
-def _level_evidence(g, first, last, level, precision, S, m, amplitude, spike, named, sign, slab):
+def _level_evidence(g, first, last, level, precision, S, m, amplitude, named, sign, slab):
     """Of each level of a group the change of log evidence, mass of one-sided coefficients included."""
     q, n = last - first, len(m)
     weighted = named[g] and q == 1
@@ -201,7 +182,7 @@ def _level_evidence(g, first, last, level, precision, S, m, amplitude, spike, na
     W = np.ascontiguousarray(S[:, first:last]) @ V
     found = np.full(amplitude.shape[1], -np.inf)
     for k in range(amplitude.shape[1]):
-        sd = amplitude[g, k] * (spike if named[g] and k == 0 else 1.0)
+        sd = amplitude[g, k]
         if sd <= 0.0:
             continue
         to = 1.0 / sd**2
@@ -309,55 +290,40 @@ def _above_zero(mean, std):
 
 @njit(cache=True)
 def _run(
-    H, b, start, stop, amplitude, share, rate, named, sign, spikes, missings, discrepants, begin, sweeps,
+    H, b, start, stop, amplitude, share, rate, named, sign, missings, discrepants, begin, sweeps,
     forgotten, every, seed,
 ):  # fmt: skip
     """One chain; levels and coefficients of every so many sweeps."""
     np.random.seed(seed)
     n, k = len(b), len(stop)
     level, slab = begin.copy(), np.zeros(n)
-    spike, missing, discrepant = spikes[len(spikes) // 2], missings[-1], discrepants[-1]
+    missing, discrepant = missings[-1], discrepants[-1]
     first = np.empty(k, np.int64)
     precision = np.ones(n)
     for g in range(k):
         first[g] = start if g == 0 else stop[g - 1]
-        precision[first[g] : stop[g]] = (amplitude[g, level[g]] * (spike if named[g] and level[g] == 0 else 1.0)) ** -2
+        precision[first[g] : stop[g]] = amplitude[g, level[g]] ** -2
         slab[first[g] : stop[g]] = _width(g, level[g], first[g], stop[g], amplitude, named)
-    S, m, _ = _factorised(H, b, precision)
+    S, m = _factorised(H, b, precision)
     kept = (sweeps - forgotten) // every
     levels, values = np.zeros((kept, k), np.int64), np.zeros((kept, n))
     row = 0
     for sweep in range(sweeps):
         for _ in range(k):
             g = np.random.randint(k)
-            weight = _level_evidence(
-                g, first[g], stop[g], level[g], precision, S, m, amplitude, spike, named, sign, slab
-            )
+            weight = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, named, sign, slab)
             odds = rate[g] / (1.0 - rate[g]) * (missing if named[g] else discrepant)
             for one in range(1, len(weight)):
                 weight[one] += math.log(odds * share[g, one]) if share[g, one] > 0.0 else -np.inf
             to = _chosen(weight)
             if to != level[g]:
-                sd = amplitude[g, to] * (spike if named[g] and to == 0 else 1.0)
-                _set_level(first[g], stop[g], sd**-2, precision, S, m)
+                _set_level(first[g], stop[g], amplitude[g, to] ** -2, precision, S, m)
                 level[g] = to
                 slab[first[g] : stop[g]] = _width(g, to, first[g], stop[g], amplitude, named)
         for _ in range(SWAPS):
-            _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike)
+            _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab)
         if sweep % REFRESHED == 0:
-            best = np.zeros(len(spikes))
-            for one in range(len(spikes) if len(spikes) > 1 else 0):  # a single one is not weighed
-                tried = precision.copy()
-                for g in range(k):
-                    if named[g] and level[g] == 0:
-                        tried[first[g] : stop[g]] = (amplitude[g, 0] * spikes[one]) ** -2
-                T, at, found = _factorised(H, b, tried)
-                best[one] = found + _slabs(at, T, sign, slab)
-            spike = spikes[_chosen(best)]
-            for g in range(k):
-                if named[g] and level[g] == 0:
-                    precision[first[g] : stop[g]] = (amplitude[g, 0] * spike) ** -2
-            S, m, _ = _factorised(H, b, precision)
+            S, m = _factorised(H, b, precision)
         tried = np.array([_log_prior(level, share, rate, named, one, discrepant) for one in missings])
         missing = missings[_chosen(tried)]
         tried = np.array([_log_prior(level, share, rate, named, missing, one) for one in discrepants])
@@ -369,7 +335,7 @@ def _run(
 
 
 @njit(cache=True)
-def _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab, spike):
+def _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab):
     """Exchange one group that is in for another that is out, if Metropolis and Hastings accept it."""
     k = len(stop)
     g, h = np.random.randint(k), np.random.randint(k)
@@ -379,11 +345,11 @@ def _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, si
         return
     before = level[g]
     before_g = precision[first[g]]
-    gained = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, spike, named, sign, slab)
+    gained = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, named, sign, slab)
     ratio = gained[0] - gained[before]
-    _set_level(first[g], stop[g], (amplitude[g, 0] * spike) ** -2, precision, S, m)
+    _set_level(first[g], stop[g], amplitude[g, 0] ** -2, precision, S, m)
     slab[first[g] : stop[g]] = 0.0
-    gained = _level_evidence(h, first[h], stop[h], level[h], precision, S, m, amplitude, spike, named, sign, slab)
+    gained = _level_evidence(h, first[h], stop[h], level[h], precision, S, m, amplitude, named, sign, slab)
     ratio += gained[before] - gained[0]
     ratio += math.log(rate[h] / (1.0 - rate[h]) * share[h, before])
     ratio -= math.log(rate[g] / (1.0 - rate[g]) * share[g, before])
