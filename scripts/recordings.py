@@ -18,7 +18,7 @@ def main(cfg: DictConfig) -> None:
     folder = Path(cfg.folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"folder = {folder}; it is no folder")
-    print(f"in {folder.resolve()}, which the environment variable VEHICLE_SBI_RECORDINGS names:")
+    print(f"in {folder.resolve()}, from folder= or the environment variable VEHICLE_SBI_RECORDINGS:")
     for one in listed():
         print("\n".join(["", *one.lines(folder)]))
 
