@@ -10,12 +10,12 @@ from _entry import launch, run_folder, use_engine  # first: it sets the number o
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from vehicle_sbi.inference.repetition import calibrated, checked
-from vehicle_sbi.report.calibration import report, show
-
 
 @launch("calibrate")
 def main(cfg: DictConfig) -> None:
+    from vehicle_sbi.inference.repetition import calibrated, checked
+    from vehicle_sbi.report.calibration import report, show
+
     study, scheme, asked = instantiate(cfg.study), instantiate(cfg.rounds), instantiate(cfg.calibration)
     use_engine(cfg.engine)
     asked.of(scheme)

@@ -10,11 +10,11 @@ from _entry import launch, named_recordings, run_folder, use_engine, warn  # fir
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from vehicle_sbi.report.diagnosis import diagnose, show
-
 
 @launch("diagnose")
 def main(cfg: DictConfig) -> None:
+    from vehicle_sbi.report.diagnosis import diagnose, show
+
     diagnosis, again = instantiate(named_recordings(cfg).diagnosis), instantiate(cfg.get("infer"))
     use_engine(cfg.engine)
     case = diagnosis.prepare()

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from vehicle_sbi.report.export.export import export
-from vehicle_sbi.report.export.writing import one_line
-
 
 @launch("export")
 def main(cfg: DictConfig) -> None:
+    from vehicle_sbi.report.export.export import export
+    from vehicle_sbi.report.export.writing import one_line
+
     written = export(Path(str(cfg.run)), str(cfg.format), None if cfg.to is None else Path(str(cfg.to)))
     print(*written.files, sep="\n")
     print("\nCaveats, which the files repeat:", *(f"  {one_line(caveat)}" for caveat in written.caveats), sep="\n")

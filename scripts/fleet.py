@@ -15,15 +15,16 @@ from tqdm import tqdm
 
 from vehicle_sbi.command import SCRIPTS
 from vehicle_sbi.files import write_text
-from vehicle_sbi.fleet.diagnoses import fleet
 from vehicle_sbi.fleet.engine import Engine
-from vehicle_sbi.fleet.table import shown, table
 from vehicle_sbi.fleet.vehicles import members
-from vehicle_sbi.report.page.index import rows, write_index
 
 
 @launch("fleet")
 def main(cfg: DictConfig) -> None:
+    from vehicle_sbi.fleet.diagnoses import fleet
+    from vehicle_sbi.fleet.table import shown, table
+    from vehicle_sbi.report.page.index import rows, write_index
+
     out = Path(HydraConfig.get().runtime.output_dir)
     engine = Engine(name=cfg.engine.name, workers=cfg.workers, scheduler=cfg.scheduler)
     options = [f"figures={str(cfg.figures).lower()}", *map(str, cfg.options)]

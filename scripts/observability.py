@@ -8,12 +8,12 @@ from _entry import launch  # first: it sets the number of threads
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from vehicle_sbi.report.observability import left_out, observability
-from vehicle_sbi.report.tables import markdown
-
 
 @launch("config")
 def main(cfg: DictConfig) -> None:
+    from vehicle_sbi.report.observability import left_out, observability
+    from vehicle_sbi.report.tables import markdown
+
     prepared = instantiate(cfg.study).prepare()
     for table, notes in (observability(prepared), left_out(prepared)):
         print(markdown(table), *notes, "", sep="\n")

@@ -10,12 +10,12 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from vehicle_sbi.report.page.index import BROKEN, COMPLETE, RUN, rows, write_index
-from vehicle_sbi.report.tables import gather
-
 
 @launch("report")
 def main(cfg: DictConfig) -> None:
+    from vehicle_sbi.report.page.index import BROKEN, COMPLETE, RUN, rows, write_index
+    from vehicle_sbi.report.tables import gather
+
     folder = Path(HydraConfig.get().runtime.output_dir)
     found = rows(Path(run) for run in ([cfg.runs] if isinstance(cfg.runs, str) else cfg.runs))
     if any(row.kind == RUN and row.status == COMPLETE for row in found):

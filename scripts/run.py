@@ -10,12 +10,12 @@ from _entry import launch, run_folder, use_engine, warn  # first: it sets the nu
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from vehicle_sbi.inference.rounds import file_of, infer
-from vehicle_sbi.report.results import first_answer, report, show
-
 
 @launch("config")
 def main(cfg: DictConfig) -> None:
+    from vehicle_sbi.inference.rounds import file_of, infer
+    from vehicle_sbi.report.results import first_answer, report, show
+
     study, scheme = instantiate(cfg.study), instantiate(cfg.rounds)
     use_engine(cfg.engine)
     prepared = study.prepare()

@@ -6,7 +6,8 @@ whatever the environment says: sums would depend on it, and the cores belong to 
     from _entry import launch
 
     @launch("config")
-    def main(cfg: DictConfig) -> None: ...
+    def main(cfg: DictConfig) -> None:
+        from vehicle_sbi.inference.rounds import infer  # here, not above: help and a wrong option need no torch
 
     if __name__ == "__main__":
         main()
