@@ -14,6 +14,7 @@ from vehicle_sbi.mismatch.selection.inclusion import (
     Shared,
     _drawn,
     _factorised,
+    _log_box,
     _log_slab,
     _set_level,
     sample,
@@ -25,19 +26,24 @@ SHARED = Shared(missing=(0.1, 1.0), discrepant=(1.0,))
 
 
 def problem(*, signed: bool) -> tuple[np.ndarray, np.ndarray, Groups]:
-    """Two columns that are always in, five that may be missing, of which two are nearly the same."""
+    """Two columns that are always in, the first in a box, five that may be missing, of which two are nearly the same,
+    and a discrepancy of two columns that can stand for one of those."""
     rng = np.random.default_rng(3)
-    X = rng.standard_normal((7, 60))
+    X = rng.standard_normal((9, 60))
     X[4] = X[3] + 0.3 * rng.standard_normal(60)
-    r = X.T @ np.array([1.0, 0.0, 0.0, 0.5, 0.0, 0.0, -0.3]) + rng.standard_normal(60)
-    sign = np.array([0, 0, 0, 1, -1, 0, 1]) if signed else np.zeros(7, dtype=np.int64)
+    X[7:] = np.array([[0.6], [-0.5]]) * X[3] + 0.3 * X[7:]
+    r = X.T @ np.array([1.0, 0.0, 0.0, 0.5, 0.0, 0.0, -0.3, 0.0, 0.0]) + rng.standard_normal(60)
+    sign = np.array([0, 0, 0, 1, -1, 0, 1, 0, 0]) if signed else np.zeros(9, dtype=np.int64)
     groups = Groups(
+        low=np.array([-1.0]),
+        high=np.array([0.9]),
+        outside=0.1,
         start=2,
-        stop=np.arange(3, 8),
-        amplitude=np.tile([SPIKE, *SLABS], (5, 1)),
-        share=np.tile([1.0, 0.7, 0.3], (5, 1)),
-        rate=np.array([0.1, 0.3, 0.3, 0.3, 0.5]),
-        named=np.ones(5, dtype=bool),
+        stop=np.array([3, 4, 5, 6, 7, 9]),
+        amplitude=np.tile([SPIKE, *SLABS], (6, 1)),
+        share=np.tile([1.0, 0.7, 0.3], (6, 1)),
+        rate=np.array([0.1, 0.3, 0.3, 0.3, 0.5, 0.4]),
+        named=np.array([True, True, True, True, True, False]),
         sign=sign.astype(np.int64),
     )
     return X @ X.T, X @ r, groups
@@ -46,18 +52,21 @@ def problem(*, signed: bool) -> tuple[np.ndarray, np.ndarray, Groups]:
 def enumerated(H: np.ndarray, b: np.ndarray, groups: Groups) -> np.ndarray:
     """Inclusion probabilities from every state, by the definition of its evidence."""
     weight, included = [], []
-    for level in itertools.product(range(3), repeat=5):
+    start, widths = groups.start, np.diff([groups.start, *groups.stop])
+    for level in itertools.product(range(3), repeat=len(widths)):
+        sd = np.array([groups.amplitude[g, k] for g, k in enumerate(level)])
+        precision = np.concatenate([np.ones(start), np.repeat(sd**-2, widths)])
+        A = H + np.diag(precision)
+        mean, S = np.linalg.solve(A, b), np.linalg.inv(A)
+        same = 0.5 * b @ mean - 0.5 * np.linalg.slogdet(A)[1] + 0.5 * np.log(precision).sum()
+        same += _log_box(mean[0], S[0, 0], groups.low[0], groups.high[0], groups.outside)
         for missing in SHARED.missing:
-            sd = np.array([groups.amplitude[g, k] for g, k in enumerate(level)])
-            precision = np.concatenate([np.ones(groups.start), sd**-2])
-            A = H + np.diag(precision)
-            mean, S = np.linalg.solve(A, b), np.linalg.inv(A)
-            log = 0.5 * b @ mean - 0.5 * np.linalg.slogdet(A)[1] + 0.5 * np.log(precision).sum()
+            log = same
             for g, k in enumerate(level):
-                odds = groups.rate[g] / (1.0 - groups.rate[g]) * missing
+                odds = groups.rate[g] / (1.0 - groups.rate[g]) * (missing if groups.named[g] else 1.0)
                 log += (np.log(odds * groups.share[g, k]) if k else 0.0) - np.log1p(odds)
-                j = groups.start + g
-                log += _log_slab(mean[j], S[j, j], sd[g], groups.sign[j]) if k else 0.0
+                j = start + g
+                log += _log_slab(mean[j], S[j, j], sd[g], groups.sign[j]) if k and groups.named[g] else 0.0
             weight.append(log)
             included.append(np.array(level) > 0)
     p = np.exp(np.array(weight) - logsumexp(weight))
@@ -71,7 +80,7 @@ def test_inclusion_probabilities_are_those_of_all_sets_enumerated(signed: bool) 
     found = sample(H, b, groups, SHARED, Chain(chains=4, sweeps=2600, forgotten=100, every=1), np.random.default_rng(0))
     exact = enumerated(H, b, groups)
     # Sweeps follow each other: a tenth of them count as independent at least, and five standard deviations are allowed.
-    assert np.abs(found.included.mean(axis=0) - exact) == pytest.approx(np.zeros(5), abs=5.0 * 0.5 / np.sqrt(n / 10.0))
+    assert found.included.mean(axis=0) == pytest.approx(exact, abs=5.0 * 0.5 / np.sqrt(n / 10.0))
 
 
 @pytest.mark.parametrize(("mean", "std", "sd"), [(0.5, 0.3, 1.0), (-0.5, 0.3, 0.6), (2.0, 0.5, 0.6), (0.0, 1.0, 1.0)])
@@ -85,6 +94,12 @@ def test_weight_of_a_slab_is_the_mean_square_on_its_side_of_zero(mean: float, st
     assert _log_slab(mean, std**2, sd, sign) == pytest.approx(np.log(exact), abs=1e-6)
 
 
+@pytest.mark.parametrize(("mean", "std"), [(0.0, 0.5), (1.5, 0.2), (40.0, 1e-3), (-2.0, 3.0)])
+def test_weight_of_a_box_is_its_mass_and_no_less_than_the_probability_that_it_is_wrong(mean: float, std: float) -> None:
+    within = norm.cdf(1.0, mean, std) - norm.cdf(-1.5, mean, std)
+    assert _log_box(mean, std**2, -1.5, 1.0, 0.01) == pytest.approx(np.log(0.99 * within + 0.01), abs=1e-12)
+
+
 def test_weight_of_a_slab_far_on_the_wrong_side_joins_its_expansion() -> None:
     inside, beyond = (_log_slab(-z, 1.0, 1.0, 1) for z in (19.999, 20.001))
     assert inside == pytest.approx(beyond, abs=0.05)  # 0.04 from the step, 45 / z^4 from the expansion's next term
@@ -93,14 +108,14 @@ def test_weight_of_a_slab_far_on_the_wrong_side_joins_its_expansion() -> None:
 
 def test_coefficients_have_the_posterior_s_mean_and_spread() -> None:
     H, b, _ = problem(signed=False)
-    precision = np.ones(7)
+    precision = np.ones(9)
     S = np.linalg.inv(H + np.diag(precision))
     m = S @ b
-    none = np.zeros(7, dtype=np.int64)
-    draws = np.array([_drawn(H, precision, m, none, np.zeros(7)) for _ in range(4000)])
+    none = np.zeros(9, dtype=np.int64)
+    draws = np.array([_drawn(H, precision, m, none, np.zeros(9)) for _ in range(4000)])
     std = np.sqrt(np.diag(S))
-    assert np.abs(draws.mean(axis=0) - m) / std == pytest.approx(np.zeros(7), abs=5.0 / np.sqrt(4000))
-    assert draws.std(axis=0) / std == pytest.approx(np.ones(7), abs=5.0 / np.sqrt(2 * 4000))
+    assert np.abs(draws.mean(axis=0) - m) / std == pytest.approx(np.zeros(9), abs=5.0 / np.sqrt(4000))
+    assert draws.std(axis=0) / std == pytest.approx(np.ones(9), abs=5.0 / np.sqrt(2 * 4000))
 
 
 def test_one_sided_coefficients_in_slabs_are_never_on_the_wrong_side() -> None:

@@ -21,7 +21,8 @@ class EffectPrior:
 
     An effect that is missing has a size of `slabs` typical ones, a standard deviation each with its share, else one of
     a `negligible` part. What no effect stands for, a discrepancy, may be in each load, the steering and each sensor
-    with probability `discrepancy`, half normal with a `scale` of the largest that is thought of.
+    with probability `discrepancy`, half normal with a `scale` of the largest that is thought of. A base parameter lies
+    beyond its box, the prior of the study, with probability `outside`.
 
     Raises InputError for an unknown name, a rate that is no probability above 0 and below 1, or a size not above 0.
     """
@@ -34,6 +35,7 @@ class EffectPrior:
     negligible: float = 0.1
     discrepancy: float = 0.9
     scale: float = 0.3
+    outside: float = 0.01
 
     def __post_init__(self) -> None:
         for effect, entries in self.table.items():
@@ -47,6 +49,8 @@ class EffectPrior:
         _check((self.rate, self.share), "effect_prior: [rate, share]")
         _check((self.rate if self.equally is None else self.equally, self.share), "effect_prior: [equally, share]")
         _check((self.discrepancy, self.scale), "effect_prior: [discrepancy, scale]")
+        if not 0 < self.outside < 1:
+            raise InputError(f"effect_prior: outside = {self.outside}; it is a probability above 0 and below 1")
         if not (self.slabs and all(len(slab) == 2 and min(slab) > 0 for slab in self.slabs) and self.negligible > 0):
             raise InputError("effect_prior: slabs are pairs [size, share] above 0, as is negligible")
 

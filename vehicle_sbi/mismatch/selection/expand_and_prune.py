@@ -214,8 +214,15 @@ def _further(fit: Fit, naming: Observation | None) -> list[Fit]:
 
 
 def groups_of(expansion: Expansion, off: Sequence[Discrepancy], prior: EffectPrior) -> Groups:
-    """Sizes of effects, then discrepancies, with what is believed of them."""
-    return Groups.of(believed(expansion, off, prior), len(expansion.unit) - len(expansion.sizes))
+    """Sizes of effects, then discrepancies, with what is believed of them and of the base parameters."""
+    own, space = len(expansion.base), expansion.space
+    return Groups.of(
+        believed(expansion, off, prior),
+        len(expansion.unit) - len(expansion.sizes),
+        low=expansion.coefficients(space.low)[:own],
+        high=expansion.coefficients(space.high)[:own],
+        outside=prior.outside,
+    )
 
 
 def _theta(expansion: Expansion, coefficient: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n d"]:

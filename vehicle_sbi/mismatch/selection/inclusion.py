@@ -7,8 +7,8 @@ With H = X X' and b = X r of whitened columns X and residual r, coefficients nor
 where the state s gives each group of columns one of a few amplitudes. A named effect has a *spike*, a size so small
 that it is negligible, and *slabs*, sizes that it has where it is missing (George and McCulloch 1993, stochastic search
 variable selection). How much is missing at all is learned, as a factor on the odds of all rates. A coefficient that
-may not be negative counts in a slab by its normal's mass on the right side of zero. Coefficients are integrated out;
-those of the states that are kept are drawn afterwards.
+may not be negative counts in a slab by its normal's mass on the right side of zero, one that is always there by its
+mass within its box. Coefficients are integrated out; those of the states that are kept are drawn afterwards.
 
 One group's amplitude is drawn given all others; with S = A^-1, m = S b and the eigenvalues e and vectors V of the
 group's block of S, a change d of its precision changes the log evidence by
@@ -29,6 +29,9 @@ REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
 LEAST = 1e-9  # part of its precision that a direction keeps, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
 SWAPS = 6  # of two groups' states, tried in a sweep
+UNLIKE = 0.01  # least squared cosine by which two groups are tried to be swapped
+ROUNDED = 1e-8  # part of a product's terms, by which it is off where rounding has grown
+HARDLY = 1e-9  # part of the largest eigenvalue, below which a direction is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +48,14 @@ class Chain:
 class Groups:
     """What is believed of groups of neighbouring columns, as arrays.
 
-    `stop` is where each group's columns end; those before `start` are always there, with a precision of 1. Levels begin
-    with nothing, the spike of a named group, and end with zeros where a group has fewer.
+    `stop` is where each group's columns end; those before `start` are always there, with a precision of 1. The first of
+    these lie within `low` and `high`, but with probability `outside`. Levels begin with nothing, the spike of a named
+    group, and end with zeros where a group has fewer.
     """
 
+    low: Float[np.ndarray, " boxes"]
+    high: Float[np.ndarray, " boxes"]
+    outside: float
     start: int
     stop: Int[np.ndarray, " k"]
     amplitude: Float[np.ndarray, "k levels"]
@@ -58,10 +65,21 @@ class Groups:
     sign: Int[np.ndarray, " n"]
 
     @classmethod
-    def of(cls, believed: Sequence[Belief], start: int) -> "Groups":
-        """Hypotheses one after another, behind so many columns that are always there."""
+    def of(
+        cls,
+        believed: Sequence[Belief],
+        start: int,
+        *,
+        low: Float[np.ndarray, " boxes"],
+        high: Float[np.ndarray, " boxes"],
+        outside: float,
+    ) -> "Groups":
+        """Hypotheses one after another, behind so many columns that are always there, the first of them in boxes."""
         levels = max((len(one.amplitude) for one in believed), default=0)
         return cls(
+            low=low,
+            high=high,
+            outside=outside,
             start=start,
             stop=start + np.cumsum([len(one.sign) for one in believed], dtype=np.int64),
             amplitude=np.array([_levels(one.nothing, one.amplitude, levels) for one in believed]),
@@ -108,14 +126,15 @@ def sample(
     rng: np.random.Generator,
 ) -> Sampled:
     """Draws from the posterior over states and coefficients; chains start with all groups in and with none, in turn."""
-    found = []
+    found, alike = [], _alike(H, groups)
     for k in range(chain.chains):
         begin = np.full(len(groups.stop), k % 2, dtype=np.int64)
         found.append(
             _run(
-                H, b, groups.start, groups.stop, groups.amplitude, groups.share, groups.rate, groups.named, groups.sign,
-                np.array(shared.missing), np.array(shared.discrepant), begin, chain.sweeps, chain.forgotten,
-                chain.every, int(rng.integers(2**31)),
+                H, b, (groups.low, groups.high, groups.outside), alike, groups.start, groups.stop, groups.amplitude,
+                groups.share, groups.rate, groups.named, groups.sign, np.array(shared.missing),
+                np.array(shared.discrepant), begin, chain.sweeps, chain.forgotten, chain.every,
+                int(rng.integers(2**31)),
             )
         )  # fmt: skip
     level, coefficient = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -138,6 +157,14 @@ def _log_slab(mean: float, variance: float, sd: float, sign: int) -> float:
     density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
     part = square * 0.5 * math.erfc(-z / math.sqrt(2.0)) + z * variance / (sd * sd) * density
     return math.log(max(2.0 * part, 1e-300))
+
+
+@njit(cache=True)
+def _log_box(mean: float, variance: float, low: float, high: float, outside: float) -> float:
+    """Log probability of a coefficient, under its normal, to be within its box, which is wrong with a probability."""
+    std = math.sqrt(2.0 * variance)
+    within = 0.5 * (math.erfc((low - mean) / std) - math.erfc((high - mean) / std))
+    return math.log((1.0 - outside) * within + outside)
 
 
 @njit(cache=True)
@@ -173,9 +200,10 @@ def _log_prior(level, share, rate, named, missing, discrepant):
 
 
 @njit(cache=True)
-def _level_evidence(g, first, last, level, precision, S, m, amplitude, named, sign, slab):
-    """Of each level of a group the change of log evidence, mass of one-sided coefficients included."""
+def _level_evidence(g, first, last, level, precision, S, m, amplitude, named, sign, slab, box):
+    """Of each level of a group the change of log evidence, mass of coefficients with bounds included."""
     q, n = last - first, len(m)
+    low, high, outside = box
     weighted = named[g] and q == 1
     e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
     u = V.T @ m[first:last]
@@ -196,13 +224,18 @@ def _level_evidence(g, first, last, level, precision, S, m, amplitude, named, si
         for j in range(n):
             inside = first <= j < last
             width = (sd if k > 0 and weighted else 0.0) if inside else slab[j]
-            if width <= 0.0:
+            boxed = j < len(low)
+            if width <= 0.0 and not boxed:
                 continue
             mean, variance = m[j], S[j, j]
             for i in range(q):
                 mean -= c[i] * W[j, i] * u[i]
                 variance -= c[i] * W[j, i] ** 2
-            found[k] += _log_slab(mean, max(variance, 1e-300), width, sign[j])
+            variance = max(variance, 1e-300)
+            if boxed:
+                found[k] += _log_box(mean, variance, low[j], high[j], outside)
+            else:
+                found[k] += _log_slab(mean, variance, width, sign[j])
     return found
 
 
@@ -290,7 +323,7 @@ def _above_zero(mean, std):
 
 @njit(cache=True)
 def _run(
-    H, b, start, stop, amplitude, share, rate, named, sign, missings, discrepants, begin, sweeps,
+    H, b, box, alike, start, stop, amplitude, share, rate, named, sign, missings, discrepants, begin, sweeps,
     forgotten, every, seed,
 ):  # fmt: skip
     """One chain; levels and coefficients of every so many sweeps."""
@@ -309,19 +342,14 @@ def _run(
     levels, values = np.zeros((kept, k), np.int64), np.zeros((kept, n))
     row = 0
     for sweep in range(sweeps):
+        odds = rate / (1.0 - rate) * np.where(named, missing, discrepant)
         for _ in range(k):
             g = np.random.randint(k)
-            weight = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, named, sign, slab)
-            odds = rate[g] / (1.0 - rate[g]) * (missing if named[g] else discrepant)
-            for one in range(1, len(weight)):
-                weight[one] += math.log(odds * share[g, one]) if share[g, one] > 0.0 else -np.inf
-            to = _chosen(weight)
-            if to != level[g]:
-                _set_level(first[g], stop[g], amplitude[g, to] ** -2, precision, S, m)
-                level[g] = to
-                slab[first[g] : stop[g]] = _width(g, to, first[g], stop[g], amplitude, named)
+            weight = _log_weights(g, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box)
+            weight[1:] += math.log(odds[g])
+            _put(g, _chosen(weight), H, b, first, stop, level, precision, S, m, amplitude, named, slab)
         for _ in range(SWAPS):
-            _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab)
+            _swap(alike, odds, H, b, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box)
         if sweep % REFRESHED == 0:
             S, m = _factorised(H, b, precision)
         tried = np.array([_log_prior(level, share, rate, named, one, discrepant) for one in missings])
@@ -335,28 +363,94 @@ def _run(
 
 
 @njit(cache=True)
-def _swap(first, stop, level, precision, S, m, amplitude, share, rate, named, sign, slab):
-    """Exchange one group that is in for another that is out, if Metropolis and Hastings accept it."""
-    k = len(stop)
-    g, h = np.random.randint(k), np.random.randint(k)
-    if not (named[g] and named[h]) or level[g] == 0 or level[h] > 0 or stop[g] - first[g] != stop[h] - first[h]:
+def _log_weights(g, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box):
+    """Of each level of a group the log of share and evidence, over those of the first."""
+    weight = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, named, sign, slab, box)
+    weight -= weight[0]
+    for one in range(1, len(weight)):
+        weight[one] += math.log(share[g, one]) if share[g, one] > 0.0 else -np.inf
+    return weight
+
+
+@njit(cache=True)
+def _put(g, to, H, b, first, stop, level, precision, S, m, amplitude, named, slab):
+    """Give a group another level; the arrays of all of them change in place.
+
+    Where groups that are like each other come and go, rounding grows by up to their ratio of precisions each time.
+    """
+    if to == level[g]:
         return
-    if share[h, level[g]] <= 0.0:
+    _set_level(first[g], stop[g], amplitude[g, to] ** -2, precision, S, m)
+    level[g] = to
+    slab[first[g] : stop[g]] = _width(g, to, first[g], stop[g], amplitude, named)
+    if _rounded(first[g], H, precision, S):
+        S[:], m[:] = _factorised(H, b, precision)
+
+
+@njit(cache=True)
+def _rounded(j, H, precision, S):
+    """Whether S is no longer the inverse of H + L, by the product of a row of the one and a column of the other."""
+    product = H[j] * S[j]
+    product[j] += precision[j] * S[j, j]
+    return not abs(product.sum() - 1.0) <= ROUNDED * np.abs(product).sum()
+
+
+@njit(cache=True)
+def _swap(alike, odds, H, b, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box):
+    """Exchange one group that is in for another that is out and is like it, if Metropolis and Hastings accept it.
+
+    Groups are tried in proportion to `alike` (k, k); with all levels of both, so that one replaces the other at once,
+    whatever their sizes are.
+    """
+    there, absent = np.flatnonzero(level > 0), np.flatnonzero(level == 0)
+    if len(there) == 0 or len(absent) == 0:
         return
+    g = there[np.random.randint(len(there))]
+    h = absent[_chosen(np.log(alike[g][absent]))]
+    ways, ways_back = alike[g][absent].sum(), alike[h][absent].sum() - alike[h, h] + alike[h, g]
     before = level[g]
-    before_g = precision[first[g]]
-    gained = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, named, sign, slab)
-    ratio = gained[0] - gained[before]
-    _set_level(first[g], stop[g], amplitude[g, 0] ** -2, precision, S, m)
-    slab[first[g] : stop[g]] = 0.0
-    gained = _level_evidence(h, first[h], stop[h], level[h], precision, S, m, amplitude, named, sign, slab)
-    ratio += gained[before] - gained[0]
-    ratio += math.log(rate[h] / (1.0 - rate[h]) * share[h, before])
-    ratio -= math.log(rate[g] / (1.0 - rate[g]) * share[g, before])
+    _put(g, 0, H, b, first, stop, level, precision, S, m, amplitude, named, slab)
+    of_g = _log_weights(g, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box)[1:]
+    of_h = _log_weights(h, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box)[1:]
+    ratio = _log_sum(of_h) + math.log(odds[h] * ways) - _log_sum(of_g) - math.log(odds[g] * ways_back)
     if math.log(np.random.random()) < ratio:
-        _set_level(first[h], stop[h], amplitude[h, before] ** -2, precision, S, m)
-        slab[first[h] : stop[h]] = _width(h, before, first[h], stop[h], amplitude, named)
-        level[g], level[h] = 0, before
-        return
-    _set_level(first[g], stop[g], before_g, precision, S, m)
-    slab[first[g] : stop[g]] = _width(g, before, first[g], stop[g], amplitude, named)
+        _put(h, 1 + _chosen(of_h), H, b, first, stop, level, precision, S, m, amplitude, named, slab)
+    else:
+        _put(g, before, H, b, first, stop, level, precision, S, m, amplitude, named, slab)
+
+
+@njit(cache=True)
+def _log_sum(log_weight):
+    """Log of a sum of weights."""
+    most = log_weight.max()
+    return most + math.log(np.exp(log_weight - most).sum())
+
+
+def _alike(H: Float[np.ndarray, "n n"], groups: Groups) -> Float[np.ndarray, "k k"]:
+    """How well groups of columns can stand for each other beside those that are always there, from `UNLIKE` to 1: the
+    mean squared cosine between the directions of the smaller and those of the larger."""
+    always, first = groups.start, [groups.start, *groups.stop[:-1].tolist()]
+    taken = np.linalg.solve(H[:always, :always] + np.eye(always), H[:always, always:])
+    left = H[always:, always:] - H[always:, :always] @ taken
+    scale = np.sqrt(np.maximum(np.diag(left), np.finfo(float).tiny))
+    left /= np.outer(scale, scale)
+    k = len(groups.stop)
+    across = np.zeros_like(left)  # rows of each group made orthonormal
+    spans = [slice(a - always, b - always) for a, b in zip(first, groups.stop.tolist(), strict=True)]
+    roots = [_inverse_root(left[span, span]) for span in spans]
+    for span, root in zip(spans, roots, strict=True):
+        across[span] = root @ left[span]
+    for span, root in zip(spans, roots, strict=True):
+        across[:, span] = across[:, span] @ root
+    starts = np.array([span.start for span in spans], dtype=np.int64)
+    width = groups.stop - always - starts
+    squares = np.add.reduceat(np.add.reduceat(across**2, starts, axis=0), starts, axis=1)
+    shared = squares / np.minimum.outer(width, width)
+    return np.clip(shared.reshape(k, k), UNLIKE, 1.0)
+
+
+def _inverse_root(A: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q q"]:
+    """A^-1/2 of a symmetric matrix, without the directions that it hardly has."""
+    size, direction = np.linalg.eigh(A)
+    kept = size > HARDLY * size[-1]
+    return (direction[:, kept] / np.sqrt(size[kept])) @ direction[:, kept].T
