@@ -221,8 +221,8 @@ def build(seed: int, wanted: Slot, case: Path, sealed: Path) -> None:
         try:
             name = here[int(rng.integers(len(here)))]
             one = stretch(rng, effect, name, SOURCES[name])
-        except InputError:
-            continue  # the stretch has no usable window
+        except (InputError, np.linalg.LinAlgError):
+            continue  # the stretch has no usable window, or a car spins out in it
         chosen = chosen or one
         if effect is None:
             break
