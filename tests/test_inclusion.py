@@ -13,12 +13,12 @@ from vehicle_sbi.mismatch.selection.inclusion import (
     Groups,
     Shared,
     _drawn,
-    _factorised,
     _log_box,
     _log_slab,
-    _set_level,
     sample,
 )
+from vehicle_sbi.mismatch.selection.inverse import factorised, set_precision
+from vehicle_sbi.mismatch.selection.likeness import UNLIKE, likeness
 
 SLABS = (0.6, 1.5)
 SPIKE = 0.05
@@ -143,12 +143,29 @@ def test_a_thousand_changes_of_precisions_by_nine_decades_leave_the_inverse_as_i
     X = rng.standard_normal((12, 60)) * np.geomspace(1e-2, 30.0, 12)[:, None]
     H, b, precision = X @ X.T, X @ rng.standard_normal(60), np.ones(12)
     groups = [slice(2, 3), slice(3, 4), slice(4, 6), slice(6, 7), slice(7, 9), slice(9, 10), slice(10, 12)]
-    S, m = _factorised(H, b, precision)
+    S, m = factorised(H, b, precision)
     for _ in range(1000):
         one = groups[rng.integers(len(groups))]
-        _set_level(one.start, one.stop, float(rng.choice([1e-1, 1.0, 1e3, 1e8])), precision, S, m)
+        set_precision(one.start, one.stop, float(rng.choice([1e-1, 1.0, 1e3, 1e8])), precision, S, m)
         A = H + np.diag(precision)
         scale = np.sqrt(np.diag(A))
         exact = np.linalg.inv(A / np.outer(scale, scale)) / np.outer(scale, scale)
         assert np.diag(S) == pytest.approx(np.diag(exact), rel=rel)
         assert m == pytest.approx(exact @ b, rel=rel, abs=rel * np.abs(m).max())
+
+
+def test_groups_are_as_alike_as_the_mean_squared_cosine_beside_what_is_always_there() -> None:
+    # The first column is always there: of a long one nothing is left. Beside it the others have the angles below.
+    cosine, rest = 0.8, 0.6
+    X = np.zeros((6, 6))
+    X[0, 0] = 1e4
+    X[1, :2] = 3.0, 2.0
+    X[2, :3] = -5.0, 7.0 * cosine, 7.0 * rest
+    X[3, 3] = 1.0
+    X[4, [1, 3]] = 1.0, 4.0  # with the row before a plane that holds row 1's direction
+    X[5, 0] = 1.0  # taken over altogether
+    found = likeness(X @ X.T, 1, np.array([2, 3, 5, 6]))
+    square, other = cosine**2, UNLIKE
+    exact = [[1.0, square, 1.0, other], [square, 1.0, square, other], [1.0, square, 1.0, other]]
+    assert found[:3] == pytest.approx(np.array(exact), abs=1e-6)  # 1e-8 of the first column's length stays in others
+    assert found[3, :3] == pytest.approx(other)

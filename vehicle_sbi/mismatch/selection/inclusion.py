@@ -18,20 +18,19 @@ sum_i [ - 1/2 log(1 + d e_i) - 1/2 d u_i^2 / (1 + d e_i) ] + q/2 log(ratio of pr
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
+from vehicle_sbi.mismatch.selection.inverse import LEAST, factorised, rounded, set_precision
+from vehicle_sbi.mismatch.selection.likeness import likeness
 
 REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
-LEAST = 1e-9  # part of its precision that a direction keeps, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
 SWAPS = 6  # of two groups' states, tried in a sweep
-UNLIKE = 0.01  # least squared cosine by which two groups are tried to be swapped
-ROUNDED = 1e-8  # part of a product's terms, by which it is off where rounding has grown
-HARDLY = 1e-9  # part of the largest eigenvalue, below which a direction is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +116,39 @@ class Sampled:
         return self.level > 0
 
 
+class _Believed(NamedTuple):
+    """What is believed of groups, for compiled functions; group g has columns from first[g] to stop[g]."""
+
+    first: np.ndarray
+    stop: np.ndarray
+    amplitude: np.ndarray
+    share: np.ndarray
+    named: np.ndarray
+    sign: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    outside: float
+
+    @classmethod
+    def of(cls, groups: Groups) -> "_Believed":
+        first = np.concatenate([[groups.start], groups.stop[:-1]])
+        return cls(
+            first, groups.stop, groups.amplitude, groups.share, groups.named, groups.sign, groups.low, groups.high,
+            groups.outside,
+        )  # fmt: skip
+
+
+class _State(NamedTuple):
+    """Where a chain is, all of which changes in place: the level of each group, each column's precision, S and m, and
+    the standard deviations of coefficients in slabs, else 0."""
+
+    level: np.ndarray
+    precision: np.ndarray
+    S: np.ndarray
+    m: np.ndarray
+    slab: np.ndarray
+
+
 def sample(
     H: Float[np.ndarray, "n n"],
     b: Float[np.ndarray, " n"],
@@ -126,17 +158,14 @@ def sample(
     rng: np.random.Generator,
 ) -> Sampled:
     """Draws from the posterior over states and coefficients; chains start with all groups in and with none, in turn."""
-    found, alike = [], _alike(H, groups)
+    believed = _Believed.of(groups)
+    alike, odds = likeness(H, groups.start, groups.stop), groups.rate / (1.0 - groups.rate)
+    factors = np.array(shared.missing), np.array(shared.discrepant)
+    counts = chain.sweeps, chain.forgotten, chain.every
+    found = []
     for k in range(chain.chains):
         begin = np.full(len(groups.stop), k % 2, dtype=np.int64)
-        found.append(
-            _run(
-                H, b, (groups.low, groups.high, groups.outside), alike, groups.start, groups.stop, groups.amplitude,
-                groups.share, groups.rate, groups.named, groups.sign, np.array(shared.missing),
-                np.array(shared.discrepant), begin, chain.sweeps, chain.forgotten, chain.every,
-                int(rng.integers(2**31)),
-            )
-        )  # fmt: skip
+        found.append(_run(H, b, believed, alike, odds, factors, begin, counts, int(rng.integers(2**31))))
     level, coefficient = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return Sampled(level, coefficient)
 
@@ -180,31 +209,22 @@ def _chosen(log_weight: np.ndarray) -> int:
 
 
 @njit(cache=True)
-def _factorised(H, b, precision):
-    """S = (H + L)^-1 and m = S b."""
-    S = np.linalg.inv(H + np.diag(precision))
-    S = 0.5 * (S + S.T)
-    return S, S @ b
-
-
-@njit(cache=True)
-def _log_prior(level, share, rate, named, missing, discrepant):
-    """Log prior of all groups' levels, given the factors on the odds."""
+def _log_prior(level, believed, odds):
+    """Log prior of all groups' levels."""
     total = 0.0
     for g in range(len(level)):
-        odds = rate[g] / (1.0 - rate[g]) * (missing if named[g] else discrepant)
-        total -= math.log1p(odds)
+        total -= math.log1p(odds[g])
         if level[g] > 0:
-            total += math.log(odds) + math.log(share[g, level[g]])
+            total += math.log(odds[g]) + math.log(believed.share[g, level[g]])
     return total
 
 
 @njit(cache=True)
-def _level_evidence(g, first, last, level, precision, S, m, amplitude, named, sign, slab, box):
+def _level_evidence(g, believed, state):
     """Of each level of a group the change of log evidence, mass of coefficients with bounds included."""
+    first, last, S, m = believed.first[g], believed.stop[g], state.S, state.m
+    amplitude, low, high = believed.amplitude, believed.low, believed.high
     q, n = last - first, len(m)
-    low, high, outside = box
-    weighted = named[g] and q == 1
     e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
     u = V.T @ m[first:last]
     W = np.ascontiguousarray(S[:, first:last]) @ V
@@ -214,8 +234,8 @@ def _level_evidence(g, first, last, level, precision, S, m, amplitude, named, si
         if sd <= 0.0:
             continue
         to = 1.0 / sd**2
-        d = to - precision[first]
-        found[k] = 0.5 * q * math.log(to / precision[first])
+        d = to - state.precision[first]
+        found[k] = 0.5 * q * math.log(to / state.precision[first])
         c = np.empty(q)
         for i in range(q):
             grown = max(1.0 + d * max(e[i], 0.0), LEAST)
@@ -223,7 +243,7 @@ def _level_evidence(g, first, last, level, precision, S, m, amplitude, named, si
             found[k] += -0.5 * math.log(grown) - 0.5 * c[i] * u[i] ** 2
         for j in range(n):
             inside = first <= j < last
-            width = (sd if k > 0 and weighted else 0.0) if inside else slab[j]
+            width = _width(g, k, believed) if inside else state.slab[j]
             boxed = j < len(low)
             if width <= 0.0 and not boxed:
                 continue
@@ -233,54 +253,17 @@ def _level_evidence(g, first, last, level, precision, S, m, amplitude, named, si
                 variance -= c[i] * W[j, i] ** 2
             variance = max(variance, 1e-300)
             if boxed:
-                found[k] += _log_box(mean, variance, low[j], high[j], outside)
+                found[k] += _log_box(mean, variance, low[j], high[j], believed.outside)
             else:
-                found[k] += _log_slab(mean, variance, width, sign[j])
+                found[k] += _log_slab(mean, variance, width, believed.sign[j])
     return found
 
 
 @njit(cache=True)
-def _width(g, level, first, last, amplitude, named):
+def _width(g, level, believed):
     """Standard deviation of a named coefficient in a slab; 0 in its spike, and of groups of several columns."""
-    return amplitude[g, level] if level > 0 and named[g] and last - first == 1 else 0.0
-
-
-@njit(cache=True)
-def _set_level(first, last, to, precision, S, m):
-    """Give a group another precision; S, m and `precision` change in place.
-
-    Its own rows are scaled rather than subtracted from: where a precision grows by 1e7, seven digits would be lost.
-    """
-    d = to - precision[first]
-    if d == 0.0:
-        return
-    if last - first == 1:
-        _set_alone(first, d, S, m)
-    else:
-        e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
-        W, u = np.ascontiguousarray(S[:, first:last]) @ V, V.T @ m[first:last].copy()
-        grown = np.maximum(1.0 + d * np.maximum(e, 0.0), LEAST)
-        m -= W @ (d / grown * u)
-        S -= (W * (d / grown)) @ W.T
-        m[first:last] = V @ (u / grown)
-        S[:, first:last] = (W / grown) @ V.T
-        S[first:last] = S[:, first:last].T
-    precision[first:last] = to
-
-
-@njit(cache=True)
-def _set_alone(j, d, S, m):
-    """What `_set_level` does to a group of one column j, whose precision changes by d, without matrices beside S."""
-    w = S[j].copy()
-    grown, mean = max(1.0 + d * max(w[j], 0.0), LEAST), m[j]
-    for i in range(len(m)):
-        share = d / grown * w[i]
-        m[i] -= share * mean
-        for k in range(len(m)):
-            S[i, k] -= share * w[k]
-    m[j] = mean / grown
-    for i in range(len(m)):
-        S[i, j] = S[j, i] = w[i] / grown
+    alone = believed.stop[g] - believed.first[g] == 1
+    return believed.amplitude[g, level] if level > 0 and believed.named[g] and alone else 0.0
 
 
 @njit(cache=True)
@@ -322,101 +305,102 @@ def _above_zero(mean, std):
 
 
 @njit(cache=True)
-def _run(
-    H, b, box, alike, start, stop, amplitude, share, rate, named, sign, missings, discrepants, begin, sweeps,
-    forgotten, every, seed,
-):  # fmt: skip
+def _started(H, b, believed, begin):
+    """A state with these levels."""
+    precision, slab = np.ones(len(b)), np.zeros(len(b))
+    for g in range(len(begin)):
+        own = slice(believed.first[g], believed.stop[g])
+        precision[own] = believed.amplitude[g, begin[g]] ** -2
+        slab[own] = _width(g, begin[g], believed)
+    S, m = factorised(H, b, precision)
+    return _State(begin.copy(), precision, S, m, slab)
+
+
+@njit(cache=True)
+def _run(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
     """One chain; levels and coefficients of every so many sweeps."""
     np.random.seed(seed)
-    n, k = len(b), len(stop)
-    level, slab = begin.copy(), np.zeros(n)
+    (missings, discrepants), (sweeps, forgotten, every) = factors, counts
+    state, k = _started(H, b, believed, begin), len(begin)
     missing, discrepant = missings[-1], discrepants[-1]
-    first = np.empty(k, np.int64)
-    precision = np.ones(n)
-    for g in range(k):
-        first[g] = start if g == 0 else stop[g - 1]
-        precision[first[g] : stop[g]] = amplitude[g, level[g]] ** -2
-        slab[first[g] : stop[g]] = _width(g, level[g], first[g], stop[g], amplitude, named)
-    S, m = _factorised(H, b, precision)
     kept = (sweeps - forgotten) // every
-    levels, values = np.zeros((kept, k), np.int64), np.zeros((kept, n))
+    levels, values = np.zeros((kept, k), np.int64), np.zeros((kept, len(b)))
     row = 0
     for sweep in range(sweeps):
-        odds = rate / (1.0 - rate) * np.where(named, missing, discrepant)
+        odds = _odds(rate_odds, believed, missing, discrepant)
         for _ in range(k):
             g = np.random.randint(k)
-            weight = _log_weights(g, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box)
+            weight = _log_weights(g, believed, state)
             weight[1:] += math.log(odds[g])
-            _put(g, _chosen(weight), H, b, first, stop, level, precision, S, m, amplitude, named, slab)
+            _put(g, _chosen(weight), H, b, believed, state)
         for _ in range(SWAPS):
-            _swap(alike, odds, H, b, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box)
+            _swap(alike, odds, H, b, believed, state)
         if sweep % REFRESHED == 0:
-            S, m = _factorised(H, b, precision)
-        tried = np.array([_log_prior(level, share, rate, named, one, discrepant) for one in missings])
-        missing = missings[_chosen(tried)]
-        tried = np.array([_log_prior(level, share, rate, named, missing, one) for one in discrepants])
-        discrepant = discrepants[_chosen(tried)]
+            state.S[:], state.m[:] = factorised(H, b, state.precision)
+        tried = [_log_prior(state.level, believed, _odds(rate_odds, believed, one, discrepant)) for one in missings]
+        missing = missings[_chosen(np.array(tried))]
+        tried = [_log_prior(state.level, believed, _odds(rate_odds, believed, missing, one)) for one in discrepants]
+        discrepant = discrepants[_chosen(np.array(tried))]
         if sweep >= forgotten and (sweep - forgotten) % every == 0 and row < kept:
-            levels[row], values[row] = level, _drawn(H, precision, m, sign, slab)
+            levels[row] = state.level
+            values[row] = _drawn(H, state.precision, state.m, believed.sign, state.slab)
             row += 1
     return levels, values
 
 
 @njit(cache=True)
-def _log_weights(g, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box):
+def _odds(rate_odds, believed, missing, discrepant):
+    """Odds of all groups, with the factors that effects and discrepancies share."""
+    return rate_odds * np.where(believed.named, missing, discrepant)
+
+
+@njit(cache=True)
+def _log_weights(g, believed, state):
     """Of each level of a group the log of share and evidence, over those of the first."""
-    weight = _level_evidence(g, first[g], stop[g], level[g], precision, S, m, amplitude, named, sign, slab, box)
+    weight, share = _level_evidence(g, believed, state), believed.share[g]
     weight -= weight[0]
     for one in range(1, len(weight)):
-        weight[one] += math.log(share[g, one]) if share[g, one] > 0.0 else -np.inf
+        weight[one] += math.log(share[one]) if share[one] > 0.0 else -np.inf
     return weight
 
 
 @njit(cache=True)
-def _put(g, to, H, b, first, stop, level, precision, S, m, amplitude, named, slab):
-    """Give a group another level; the arrays of all of them change in place.
+def _put(g, to, H, b, believed, state):
+    """Give a group another level.
 
     Where groups that are like each other come and go, rounding grows by up to their ratio of precisions each time.
     """
-    if to == level[g]:
+    if to == state.level[g]:
         return
-    _set_level(first[g], stop[g], amplitude[g, to] ** -2, precision, S, m)
-    level[g] = to
-    slab[first[g] : stop[g]] = _width(g, to, first[g], stop[g], amplitude, named)
-    if _rounded(first[g], H, precision, S):
-        S[:], m[:] = _factorised(H, b, precision)
+    first, stop = believed.first[g], believed.stop[g]
+    set_precision(first, stop, believed.amplitude[g, to] ** -2, state.precision, state.S, state.m)
+    state.level[g] = to
+    state.slab[first:stop] = _width(g, to, believed)
+    if rounded(first, H, state.precision, state.S):
+        state.S[:], state.m[:] = factorised(H, b, state.precision)
 
 
 @njit(cache=True)
-def _rounded(j, H, precision, S):
-    """Whether S is no longer the inverse of H + L, by the product of a row of the one and a column of the other."""
-    product = H[j] * S[j]
-    product[j] += precision[j] * S[j, j]
-    return not abs(product.sum() - 1.0) <= ROUNDED * np.abs(product).sum()
-
-
-@njit(cache=True)
-def _swap(alike, odds, H, b, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box):
+def _swap(alike, odds, H, b, believed, state):
     """Exchange one group that is in for another that is out and is like it, if Metropolis and Hastings accept it.
 
     Groups are tried in proportion to `alike` (k, k); with all levels of both, so that one replaces the other at once,
     whatever their sizes are.
     """
-    there, absent = np.flatnonzero(level > 0), np.flatnonzero(level == 0)
+    there, absent = np.flatnonzero(state.level > 0), np.flatnonzero(state.level == 0)
     if len(there) == 0 or len(absent) == 0:
         return
     g = there[np.random.randint(len(there))]
     h = absent[_chosen(np.log(alike[g][absent]))]
     ways, ways_back = alike[g][absent].sum(), alike[h][absent].sum() - alike[h, h] + alike[h, g]
-    before = level[g]
-    _put(g, 0, H, b, first, stop, level, precision, S, m, amplitude, named, slab)
-    of_g = _log_weights(g, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box)[1:]
-    of_h = _log_weights(h, first, stop, level, precision, S, m, amplitude, share, named, sign, slab, box)[1:]
+    before = state.level[g]
+    _put(g, 0, H, b, believed, state)
+    of_g, of_h = _log_weights(g, believed, state)[1:], _log_weights(h, believed, state)[1:]
     ratio = _log_sum(of_h) + math.log(odds[h] * ways) - _log_sum(of_g) - math.log(odds[g] * ways_back)
     if math.log(np.random.random()) < ratio:
-        _put(h, 1 + _chosen(of_h), H, b, first, stop, level, precision, S, m, amplitude, named, slab)
+        _put(h, 1 + _chosen(of_h), H, b, believed, state)
     else:
-        _put(g, before, H, b, first, stop, level, precision, S, m, amplitude, named, slab)
+        _put(g, before, H, b, believed, state)
 
 
 @njit(cache=True)
@@ -424,33 +408,3 @@ def _log_sum(log_weight):
     """Log of a sum of weights."""
     most = log_weight.max()
     return most + math.log(np.exp(log_weight - most).sum())
-
-
-def _alike(H: Float[np.ndarray, "n n"], groups: Groups) -> Float[np.ndarray, "k k"]:
-    """How well groups of columns can stand for each other beside those that are always there, from `UNLIKE` to 1: the
-    mean squared cosine between the directions of the smaller and those of the larger."""
-    always, first = groups.start, [groups.start, *groups.stop[:-1].tolist()]
-    taken = np.linalg.solve(H[:always, :always] + np.eye(always), H[:always, always:])
-    left = H[always:, always:] - H[always:, :always] @ taken
-    scale = np.sqrt(np.maximum(np.diag(left), np.finfo(float).tiny))
-    left /= np.outer(scale, scale)
-    k = len(groups.stop)
-    across = np.zeros_like(left)  # rows of each group made orthonormal
-    spans = [slice(a - always, b - always) for a, b in zip(first, groups.stop.tolist(), strict=True)]
-    roots = [_inverse_root(left[span, span]) for span in spans]
-    for span, root in zip(spans, roots, strict=True):
-        across[span] = root @ left[span]
-    for span, root in zip(spans, roots, strict=True):
-        across[:, span] = across[:, span] @ root
-    starts = np.array([span.start for span in spans], dtype=np.int64)
-    width = groups.stop - always - starts
-    squares = np.add.reduceat(np.add.reduceat(across**2, starts, axis=0), starts, axis=1)
-    shared = squares / np.minimum.outer(width, width)
-    return np.clip(shared.reshape(k, k), UNLIKE, 1.0)
-
-
-def _inverse_root(A: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q q"]:
-    """A^-1/2 of a symmetric matrix, without the directions that it hardly has."""
-    size, direction = np.linalg.eigh(A)
-    kept = size > HARDLY * size[-1]
-    return (direction[:, kept] / np.sqrt(size[kept])) @ direction[:, kept].T
