@@ -30,7 +30,8 @@ mismatch.estimation.fit_check mismatch.estimation.linearised mismatch.estimation
 mismatch.estimation.linear_gaussian mismatch.hypotheses.hypothesis mismatch.hypotheses.block
 mismatch.hypotheses.regressor mismatch.hypotheses.discrepancy mismatch.hypotheses.quantisation
 mismatch.hypotheses.spans mismatch.hypotheses.effect mismatch.hypotheses.dictionary
-mismatch.selection.score_test mismatch.selection.detection mismatch.selection.inclusion
+mismatch.selection.score_test mismatch.selection.detection
+mismatch.selection.inverse mismatch.selection.likeness mismatch.selection.inclusion
 mismatch.selection.pruned mismatch.selection.expand_and_prune mismatch.selection.extended mismatch.selection.reinfer
 mismatch.selection.predictive mismatch.selection.acceptance mismatch.design.cannot_act mismatch.design.identifiability
 mismatch.design.experiment mismatch.answer.schema mismatch.answer.wording mismatch.answer.verdict mismatch.pipeline
