@@ -26,8 +26,9 @@ RESULT = Path(__file__).resolve().parent / "results" / "simulator.md"
 
 def strip() -> None:
     """Take the effects out of the equations of motion, actuators and sensors, before anything is compiled."""
+    from vehicle_sbi.compiled import compiled as njit
     from vehicle_sbi.physics import balance, sensors, simulation, single_track
-    from vehicle_sbi.physics.compiled import compiled as njit
+    from vehicle_sbi.physics.axle import AxleForce
     from vehicle_sbi.physics.tyre import dugoff
 
     balance.body_load = njit(lambda p, v_x, t, course: (0.0, 0.0, 0.0))
@@ -36,11 +37,11 @@ def strip() -> None:
     balance.road_grade = njit(lambda p, t: 0.0)
     balance.roll_steer = njit(lambda p, a_y: 0.0)
     balance.steering_compliance = njit(lambda p, F_yf: 0.0)
-    single_track.axle_force = njit(
-        lambda p, C_kappa, C_alpha, mu, F_z, load, kappa, tan_alpha, a_y: dugoff(
-            C_kappa, C_alpha, mu, F_z, kappa, tan_alpha
-        )
-    )
+
+    @njit
+    def axle_force(p, axle, slips, a_y):
+        F_x, F_y = dugoff(axle.C_kappa, axle.C_alpha, axle.mu, axle.F_z, slips.kappa, slips.tan_right)
+        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, True)
 
     @njit
     def steer(p, command, rate, out):
@@ -63,6 +64,7 @@ def strip() -> None:
         for k in range(len(signal)):
             out[k] = signal[k]
 
+    single_track.axle_force = axle_force
     simulation.steer, simulation.torques, simulation.measure, simulation.report = steer, torques, measure, report
 
 

@@ -1,6 +1,7 @@
 """A fleet as users run it: a folder of vehicles, one table, the same numbers wherever jobs ran and whatever died."""
 
 import json
+import shutil
 import socket
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from test_run_script import ENVIRONMENT
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.fleet.attended import attended
-from vehicle_sbi.fleet.engine import Engine, each
+from vehicle_sbi.fleet.engine import Engine, Function, each
 from vehicle_sbi.fleet.vehicles import members
 
 OPTIONS = (
@@ -137,15 +138,17 @@ def test_what_stands_is_not_done_again_and_what_is_damaged_is(recordings: Path, 
 
 
 def test_a_vehicle_that_fails_costs_its_own_row_alone(recordings: Path, tmp_path: Path, alone: Path) -> None:
-    folder = tmp_path / "recordings"
-    folder.mkdir()
-    (folder / "bad.csv").write_text("time,steering\n1,2\n")
-    (folder / "stiff.csv").write_bytes((recordings / "stiff.csv").read_bytes())
-    status, said, err = fleet(f"folder={folder}", f"hydra.run.dir={tmp_path / 'out'}")
+    out, bad = tmp_path / "out", recordings / "bad.csv"
+    shutil.copytree(alone, out)
+    bad.write_text("time,steering\n1,2\n")
+    try:
+        status, said, err = fleet(f"folder={recordings}", f"hydra.run.dir={out}")
+    finally:
+        bad.unlink()
     assert status == 2
     assert "| stiff | 1 | answered |" in said
     assert err.count("error: ") == 1
-    assert err.splitlines()[-1].startswith(f"error: bad: {folder}/bad.csv: ")
+    assert err.splitlines()[-1].startswith(f"error: bad: {bad}: ")
 
 
 @pytest.mark.parametrize(
@@ -227,6 +230,21 @@ def asked_of(address: str, recordings: Path, out: Path) -> subprocess.Popen[str]
     return running
 
 
+def slowly_squared(x: int) -> int:
+    time.sleep(0.5)
+    return x * x
+
+
+def test_the_jobs_of_a_worker_that_is_killed_are_done_by_another() -> None:
+    with cluster(workers=2) as (address, (_, worker, _)):
+        work = Function(str(ROOT / "tests"), "test_fleet", "slowly_squared")
+        done = each(Engine(name="dask", scheduler=address), work, range(12))
+        found = [next(done)]
+        worker.kill()
+        assert dict([*found, *done]) == {x: x * x for x in range(12)}
+
+
+@pytest.mark.slow
 def test_a_worker_that_is_killed_changes_no_number(recordings: Path, alone: Path, tmp_path: Path) -> None:
     with cluster(workers=2) as (address, (_, worker, _)):
         running = asked_of(address, recordings, tmp_path / "out")

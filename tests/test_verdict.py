@@ -1,5 +1,6 @@
 """What a verdict says of draws whose content is known: sets, groups that stand for each other, words within bounds."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +18,7 @@ from vehicle_sbi.inference.features import Score
 from vehicle_sbi.inference.rounds import Truncated
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.mismatch.answer.verdict import Found, _parameters, _share_explained, _unknown
-from vehicle_sbi.mismatch.answer.wording import _limits, headline
+from vehicle_sbi.mismatch.answer.wording import NAMED, _limits, headline
 from vehicle_sbi.mismatch.design.identifiability import card
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import Gate
@@ -157,12 +158,15 @@ def test_where_nothing_is_missing_it_is_said_which_effects_would_have_shown() ->
 def test_a_headline_has_at_most_25_words_however_many_names_there_are() -> None:
     names = [*CATALOGUE]
     group = ["lateral_load_transfer", "road_grade_profile"]
-    for n in (0, 1, 4, 5, len(names)):
+    for n, p_unknown in itertools.product((0, 1, 4, 5, len(names)), (0.1, 0.97)):
         effects = dict.fromkeys((name for name in names[:n] if name not in group), 0.97)
-        answer: Any = SimpleNamespace(detected=True, p_value=0.004, effects=effects, indistinguishable=[group] * 3)
+        answer: Any = SimpleNamespace(
+            detected=True, p_value=0.004, effects=effects, indistinguishable=[group] * 3, p_unknown=p_unknown
+        )
         said = headline(answer, trusted=False)
         assert len(said.split()) <= 25
         assert said.startswith("The base fit is doubtful. Missing: ")
+        assert said.endswith("something unknown (0.97).") == (p_unknown > NAMED)
 
 
 def test_what_is_found_has_the_base_model_that_was_examined(base: Fit) -> None:

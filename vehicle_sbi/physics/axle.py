@@ -15,8 +15,8 @@ slip k is the axle's but for products of what differs between them, to second or
 import math
 from typing import NamedTuple
 
+from vehicle_sbi.compiled import compiled
 from vehicle_sbi.physics.balance import HASTY, KEPT
-from vehicle_sbi.physics.compiled import compiled
 from vehicle_sbi.physics.effects import side_force, tyre_force, uneven, wheels_differ
 
 NEAR = 1e-4  # difference of both torques over their sum, from which a step of the search may be the last one

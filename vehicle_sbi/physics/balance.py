@@ -9,7 +9,7 @@ depth one, in one unknown the secant method).
 import math
 from typing import NamedTuple
 
-from vehicle_sbi.physics.compiled import compiled
+from vehicle_sbi.compiled import compiled
 from vehicle_sbi.physics.effects import body_load, downforce, friction_step, road_grade, roll_steer, steering_compliance
 
 LOAD_TOLERANCE = 1e-9  # [m/s^2], where the loop between load transfer and longitudinal force stops

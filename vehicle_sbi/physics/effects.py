@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.parameters import Parameter
-from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.magic_formula import peaked_and_full
 from vehicle_sbi.physics.tyre import dugoff, dugoff_share, dugoff_side
 from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle

@@ -19,8 +19,8 @@ sprung mass and no track the equations are those of the single-track model.
 import math
 from typing import NamedTuple
 
+from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.balance import Front, Outside, outside, pointing, settled
-from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import lag_rate, lag_share, lateral_cog, pulls, road_bank, side_force, tyre_force
 from vehicle_sbi.physics.single_track import (
     DELTA,

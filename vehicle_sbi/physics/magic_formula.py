@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from vehicle_sbi.physics.compiled import compiled
+from vehicle_sbi.compiled import compiled
 
 PEAKED = (1.5, 0.0)  # C, E
 FULL = (1.5, -(1.0 + 0.5 * 1.5**2))

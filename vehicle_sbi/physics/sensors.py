@@ -6,7 +6,7 @@ a raised left side and a leaning body each leave g times the sine of their angle
 
 import math
 
-from vehicle_sbi.physics.compiled import compiled, compiled_apart
+from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import interpolate, lagged, road_bank, road_grade, swaying
 from vehicle_sbi.physics.vehicle import GRAVITY
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
+from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics import full_vehicle, single_track
-from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import CATALOGUE, derive, latent_sensor, latent_steering, steer, torques
 from vehicle_sbi.physics.sensors import (
     MEASUREMENTS,

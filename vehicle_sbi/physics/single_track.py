@@ -14,9 +14,9 @@ and leaves only the lateral equations.
 import math
 from typing import NamedTuple
 
+from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.axle import Slips, Tyres, axle_force, axle_side_force
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
-from vehicle_sbi.physics.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, lateral_cog, moves_load_across, pulls
 from vehicle_sbi.physics.tyre import effective_radius, grips
 

@@ -10,7 +10,7 @@ of an axle, both tyres together.
 
 import math
 
-from vehicle_sbi.physics.compiled import compiled
+from vehicle_sbi.compiled import compiled
 
 NEWTON_STEPS, NEWTON_TOLERANCE = 30, 1e-13  # of the share of grip over demand
 

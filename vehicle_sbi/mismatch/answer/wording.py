@@ -52,12 +52,12 @@ def headline(answer: Verdict, *, trusted: bool) -> str:
     if not answer.detected:
         return f"Nothing is missing as far as these recordings can tell ({spoken_p(answer.p_value)})."
     begun = "" if trusted else "The base fit is doubtful. "
-    named = [*_named(answer)]
+    named, unknown = [*_named(answer)], answer.p_unknown if answer.p_unknown > NAMED else 0.0
     if not named:
         differ = f"Simulation and recording differ ({spoken_p(answer.p_value)})"
         return f"{begun}{differ}, and no known effect explains it for certain."
-    tried = (_missing(begun, named, spelled) for spelled in range(min(len(named), IN_HEADLINE), 0, -1))
-    return next((said for said in tried if len(said.split()) <= WORDS), _missing(begun, named, 1))
+    tried = (_missing(begun, named, spelled, unknown) for spelled in range(min(len(named), IN_HEADLINE), 0, -1))
+    return next((said for said in tried if len(said.split()) <= WORDS), _missing(begun, named, 1, unknown))
 
 
 def spoken_p(p_value: float) -> str:
@@ -65,10 +65,12 @@ def spoken_p(p_value: float) -> str:
     return f"p {'≤' if p_value * (DRAWS + 1) < 1.5 else '='} {p_value:.2g}"
 
 
-def _missing(begun: str, named: Sequence[str], spelled: int) -> str:
-    """With so many of the names spelled out."""
-    more = len(named) - spelled
-    return f"{begun}Missing: {', '.join(named[:spelled])}{f', and {more} more' if more > 0 else ''}."
+def _missing(begun: str, named: Sequence[str], spelled: int, unknown: float) -> str:
+    """With so many of the names spelled out, and that something unknown is missing beside them if it is likely."""
+    more = [f"{len(named) - spelled} more"] if len(named) > spelled else []
+    unnamed = [f"something unknown ({unknown:.2f})"] if unknown else []
+    rest = " and ".join([*more, *unnamed])
+    return f"{begun}Missing: {', '.join(named[:spelled])}{f', and {rest}' if rest else ''}."
 
 
 def _named(answer: Verdict) -> Iterator[str]:

@@ -23,6 +23,7 @@ WIDER = 1.5  # typical sizes by which effects are shrunk at first, before anythi
 FIRST_STEPS = 6  # of Gauss-Newton from each start near the optimum, before the best goes on
 EASED = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)  # times the sensors' noise under which a far start is led to the optimum
 EASED_STEPS = 4  # of Gauss-Newton under each of them
+ANEW = 2  # of those noises after which derivatives are simulated anew rather than follow from steps
 STEPS, NOISE_ROUNDS, NOISE_STEPS = 16, 2, 8  # of Gauss-Newton, of fit and noise, and of Gauss-Newton within those
 STIFFER = 1.4  # times the fitted stiffness, for which steps of the integrator are short enough
 FARTHEST = 20.0  # logarithm of a ratio at most, against overflow
@@ -195,12 +196,15 @@ class Expansion:
     ) -> Fit | None:
         """So many steps under white noise that is so many times the sensors', one after another."""
         fit, noise = None, observation.simulator.noise.of_sensor
-        for factor in way:
+        for k, factor in enumerate(way):
             white = replace(noise, floor=factor * noise.floor, rho=np.zeros_like(noise.rho))
-            fit = self._descended(observation.extended(observation.simulator.with_noise(white)), start, rms, steps)
+            under = observation.extended(observation.simulator.with_noise(white))
+            if fit is not None and k % ANEW:
+                fit = onwards(replace(fit, observation=under), steps, secant=True, renewed=False)
+            else:
+                fit = self._descended(under, start if fit is None else fit.theta, rms, steps)
             if fit is None:
                 return None
-            start = fit.theta
         return fit
 
     def _descended(

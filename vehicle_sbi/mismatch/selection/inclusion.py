@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit
 
+from vehicle_sbi.compiled import compiled_apart
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
 from vehicle_sbi.mismatch.selection.inverse import LEAST, factorised, rounded, set_precision
 from vehicle_sbi.mismatch.selection.likeness import likeness
@@ -170,7 +170,7 @@ def sample(
     return Sampled(level, coefficient)
 
 
-@njit(cache=True)
+@compiled_apart
 def _log_slab(mean: float, variance: float, sd: float, sign: int) -> float:
     """Log of the expected weight x^2 / sd^2 of a coefficient x under its normal, none on the wrong side of zero.
 
@@ -188,7 +188,7 @@ def _log_slab(mean: float, variance: float, sd: float, sign: int) -> float:
     return math.log(max(2.0 * part, 1e-300))
 
 
-@njit(cache=True)
+@compiled_apart
 def _log_box(mean: float, variance: float, low: float, high: float, outside: float) -> float:
     """Log probability of a coefficient, under its normal, to be within its box, which is wrong with a probability."""
     std = math.sqrt(2.0 * variance)
@@ -196,7 +196,7 @@ def _log_box(mean: float, variance: float, low: float, high: float, outside: flo
     return math.log((1.0 - outside) * within + outside)
 
 
-@njit(cache=True)
+@compiled_apart
 def _chosen(log_weight: np.ndarray) -> int:
     """One of several, with probability in proportion to its weight."""
     weight = np.exp(log_weight - log_weight.max())
@@ -208,7 +208,7 @@ def _chosen(log_weight: np.ndarray) -> int:
     return len(weight) - 1
 
 
-@njit(cache=True)
+@compiled_apart
 def _log_prior(level, believed, odds):
     """Log prior of all groups' levels."""
     total = 0.0
@@ -219,7 +219,7 @@ def _log_prior(level, believed, odds):
     return total
 
 
-@njit(cache=True)
+@compiled_apart
 def _level_evidence(g, believed, state):
     """Of each level of a group the change of log evidence, mass of coefficients with bounds included."""
     first, last, S, m = believed.first[g], believed.stop[g], state.S, state.m
@@ -259,14 +259,14 @@ def _level_evidence(g, believed, state):
     return found
 
 
-@njit(cache=True)
+@compiled_apart
 def _width(g, level, believed):
     """Standard deviation of a named coefficient in a slab; 0 in its spike, and of groups of several columns."""
     alone = believed.stop[g] - believed.first[g] == 1
     return believed.amplitude[g, level] if level > 0 and believed.named[g] and alone else 0.0
 
 
-@njit(cache=True)
+@compiled_apart
 def _drawn(H, precision, m, sign, slab):
     """Coefficients from their normal, those on the wrong side of zero drawn again one after another, as Gibbs does."""
     n = len(m)
@@ -288,7 +288,7 @@ def _drawn(H, precision, m, sign, slab):
     return x
 
 
-@njit(cache=True)
+@compiled_apart
 def _above_zero(mean, std):
     """A normal draw given that it is positive (Robert 1995)."""
     low = -mean / std
@@ -304,7 +304,7 @@ def _above_zero(mean, std):
             return mean + std * z
 
 
-@njit(cache=True)
+@compiled_apart
 def _started(H, b, believed, begin):
     """A state with these levels."""
     precision, slab = np.ones(len(b)), np.zeros(len(b))
@@ -316,7 +316,7 @@ def _started(H, b, believed, begin):
     return _State(begin.copy(), precision, S, m, slab)
 
 
-@njit(cache=True)
+@compiled_apart
 def _run(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
     """One chain; levels and coefficients of every so many sweeps."""
     np.random.seed(seed)
@@ -348,13 +348,13 @@ def _run(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
     return levels, values
 
 
-@njit(cache=True)
+@compiled_apart
 def _odds(rate_odds, believed, missing, discrepant):
     """Odds of all groups, with the factors that effects and discrepancies share."""
     return rate_odds * np.where(believed.named, missing, discrepant)
 
 
-@njit(cache=True)
+@compiled_apart
 def _log_weights(g, believed, state):
     """Of each level of a group the log of share and evidence, over those of the first."""
     weight, share = _level_evidence(g, believed, state), believed.share[g]
@@ -364,7 +364,7 @@ def _log_weights(g, believed, state):
     return weight
 
 
-@njit(cache=True)
+@compiled_apart
 def _put(g, to, H, b, believed, state):
     """Give a group another level.
 
@@ -380,7 +380,7 @@ def _put(g, to, H, b, believed, state):
         state.S[:], state.m[:] = factorised(H, b, state.precision)
 
 
-@njit(cache=True)
+@compiled_apart
 def _swap(alike, odds, H, b, believed, state):
     """Exchange one group that is in for another that is out and is like it, if Metropolis and Hastings accept it.
 
@@ -403,7 +403,7 @@ def _swap(alike, odds, H, b, believed, state):
         _put(g, before, H, b, believed, state)
 
 
-@njit(cache=True)
+@compiled_apart
 def _log_sum(log_weight):
     """Log of a sum of weights."""
     most = log_weight.max()

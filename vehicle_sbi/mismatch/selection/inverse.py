@@ -1,13 +1,14 @@
 """S = (H + L)^-1 and m = S b, as groups of neighbouring columns get other precisions L one after another."""
 
 import numpy as np
-from numba import njit
+
+from vehicle_sbi.compiled import compiled_apart
 
 LEAST = 1e-9  # part of its precision that a direction keeps, against rounding
 ROUNDED = 1e-8  # part of a product's terms, by which it is off where rounding has grown
 
 
-@njit(cache=True)
+@compiled_apart
 def factorised(H, b, precision):
     """S = (H + L)^-1 and m = S b."""
     S = np.linalg.inv(H + np.diag(precision))
@@ -15,7 +16,7 @@ def factorised(H, b, precision):
     return S, S @ b
 
 
-@njit(cache=True)
+@compiled_apart
 def set_precision(first, last, to, precision, S, m):
     """Give a group another precision; S, m and `precision` change in place.
 
@@ -38,7 +39,7 @@ def set_precision(first, last, to, precision, S, m):
     precision[first:last] = to
 
 
-@njit(cache=True)
+@compiled_apart
 def _set_alone(j, d, S, m):
     """What `set_precision` does to a group of one column j, whose precision changes by d, without matrices beside S."""
     w = S[j].copy()
@@ -53,7 +54,7 @@ def _set_alone(j, d, S, m):
         S[i, j] = S[j, i] = w[i] / grown
 
 
-@njit(cache=True)
+@compiled_apart
 def rounded(j, H, precision, S):
     """Whether S is no longer the inverse of H + L, by the product of a row of the one and a column of the other."""
     product = H[j] * S[j]
