@@ -138,9 +138,10 @@ def _spoken(drawn: Mapping[str, object]) -> str:
 
 def prove(
     *, folder: Path, results: Path, n: int, seed: int, mix: str, engine: Engine, diagnosed: bool, baselines: bool,
-    by: Diagnoser, beside: Sequence[str] = (),
+    by: Diagnoser, beside: Sequence[str] = (), first: int = 0,
 ) -> str:  # fmt: skip
-    """Run what is missing, write RESULTS/MIX.csv and .md (with a verdict at least), and return the page.
+    """Run what is missing of cases `first` to `n` - 1, write RESULTS/MIX.csv and .md (with a verdict at least), and
+    return the page.
 
     Cases whose scores stand in RESULTS/MIX_SEED_NAME.jsonl are done. `beside` names diagnoses of the same cases that
     stand already, or such files, to be shown beside this one.
@@ -155,24 +156,26 @@ def prove(
         raise InputError(f"{folder} holds cases of {_spoken(there)}, not of {_spoken(drawn)}; name another folder")
     write_text(seal, json.dumps(drawn))
     scores = {one: results / f"{mix}_{seed}_{one}{SUFFIX}" for one in (by.name, *BENCHMARKS[mix].simpler)}
-    done = {one: {i: line for i, line in lines_of(path).items() if i < n} for one, path in scores.items()}
+    stand = {one: lines_of(path) for one, path in scores.items()}
+    done = {one: {i: line for i, line in lines.items() if first <= i < n} for one, lines in stand.items()}
     todo = partial(Task, folder=folder, seed=seed, mix=mix, diagnosed=diagnosed, baselines=baselines, by=by)
-    left = [asdict(todo(index=i)) for i in range(n) if i not in done[by.name]]
+    left = [asdict(todo(index=i)) for i in range(first, n) if i not in done[by.name]]
     run = Function(str(ROOT / "benchmarks"), "campaign", "work")
     with tqdm(total=len(left), desc="cases", disable=None) as bar:
         for _, problem in each(engine, run, left):
             if problem:
                 bar.write(problem)
             bar.update()
-    asked = {i: BENCHMARKS[mix].asked(folder / "cases" / f"{i:04d}") for i in range(n)}
+    asked = {i: BENCHMARKS[mix].asked(folder / "cases" / f"{i:04d}") for i in range(first, n)}
     built = [i for i, folders in asked.items() if all((one / "case.yaml").exists() for one in folders)]
     if not (built or done[by.name]):
         raise InputError(f"no case could be built in {folder}")
-    for one, lines in done.items():
+    for one, lines in stand.items():
         if lines := lines | dict(BENCHMARKS[mix].kept(folder, built, one)):
             write_text(scores[one], "".join(f"{lines[i]}\n" for i in sorted(lines)))
     own, *simpler = (str(path) if path.exists() else one for one, path in scores.items())
-    known, command = sorted({*built, *done[by.name]}), f"python scripts/prove.py cases={n} seed={seed} mix={mix}"
+    known, begun = sorted({*built, *done[by.name]}), f" first={first}" if first else ""
+    command = f"python scripts/prove.py cases={n}{begun} seed={seed} mix={mix}"
     table, page = BENCHMARKS[mix].judged(folder, known, (own, *beside, *simpler), command, machine(engine.workers))
     judged = scores[by.name].exists() or any((one / by.name).exists() for i in built for one in asked[i])
     where = results if judged else folder

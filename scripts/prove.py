@@ -24,12 +24,15 @@ def main(cfg: DictConfig) -> None:
 
     if not isinstance(cfg.cases, int) or cfg.cases < 1:
         raise InputError(f"cases = {cfg.cases!r}; it must be a whole number above 0")
+    if not isinstance(cfg.first, int) or not 0 <= cfg.first < cfg.cases:
+        raise InputError(f"first = {cfg.first!r}; it must be a case before cases = {cfg.cases}, counted from 0")
     engine = Engine(name=cfg.engine.name, workers=cfg.workers, scheduler=cfg.scheduler, computing=True)
     print(
         prove(
             folder=Path(cfg.folder),
             results=Path(cfg.results),
             n=cfg.cases,
+            first=cfg.first,
             seed=cfg.seed,
             mix=cfg.mix,
             engine=engine,

@@ -63,9 +63,9 @@ def smooth(values: Float[np.ndarray, "channels time"], windows: Windows) -> Floa
 
 
 def probabilities(answer: Verdict, path: Path) -> None:
-    """A bar for each effect that is at all likely, and one for none."""
+    """A bar for each effect that is at all likely, one for what no effect stands for, and one for nothing."""
     bars = [(name.replace("_", " "), p) for name, p in answer.effects.items() if p >= LEAST][:MOST_BARS]
-    names, likely = zip(*bars, ("nothing at all", answer.p_none), strict=True)
+    names, likely = zip(*bars, ("something unknown", answer.p_unknown), ("nothing at all", answer.p_none), strict=True)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(8.0, 0.32 * len(names) + 0.9), layout="constrained")
         axis = figure.subplots()

@@ -69,8 +69,8 @@ def _missing(begun: str, named: Sequence[str], spelled: int, unknown: float) -> 
     """With so many of the names spelled out, and that something unknown is missing beside them if it is likely."""
     more = [f"{len(named) - spelled} more"] if len(named) > spelled else []
     unnamed = [f"something unknown ({unknown:.2f})"] if unknown else []
-    rest = " and ".join([*more, *unnamed])
-    return f"{begun}Missing: {', '.join(named[:spelled])}{f', and {rest}' if rest else ''}."
+    *first, last = [*named[:spelled], *more, *unnamed]
+    return f"{begun}Missing: {', '.join(first)}{', and ' if more or unnamed else ', ' if first else ''}{last}."
 
 
 def _named(answer: Verdict) -> Iterator[str]:

@@ -174,8 +174,8 @@ def _sizes(answer: Verdict) -> dict[str, Estimate]:
 
 
 def _bars(answer: Verdict) -> list[Bar]:
-    """A bar for each effect that is at all likely, and one for none."""
-    sizes = _sizes(answer)
+    """A bar for each effect that is at all likely, one for what no effect stands for, and one for nothing."""
+    sizes, laws = _sizes(answer), answer.unknown.laws[:1] if answer.unknown else []
 
     def said(effect: str) -> str:
         own = [(name.removeprefix(f"{effect}."), e) for name, e in sizes.items() if name.startswith(f"{effect}.")]
@@ -183,7 +183,8 @@ def _bars(answer: Verdict) -> list[Bar]:
 
     likely = [(name, p) for name, p in answer.effects.items() if p >= LEAST][:MOST_BARS]
     bars = [Bar(name.replace("_", " "), p, said(name)) for name, p in likely]
-    return [*bars, Bar("nothing at all", answer.p_none)]
+    left = "".join(raised(minus(f"{law.target}{quantity('', law.size)}")) for law in laws)
+    return [*bars, Bar("something unknown", answer.p_unknown, left), Bar("nothing at all", answer.p_none)]
 
 
 def _moved(found: Found, answer: Verdict) -> Ranges:
