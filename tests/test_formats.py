@@ -191,6 +191,14 @@ def test_units_may_stand_in_brackets_and_decimals_be_commas(tmp_path):
     assert table.numbers("v (km/h)").tolist() == [1.5, 2.5]
 
 
+def test_a_logger_may_have_a_decimal_comma_in_every_field(tmp_path):
+    """More commas than semicolons in a row of numbers, and a first row of whole ones."""
+    table = only(text("Zeit;Lenkradwinkel;Gierrate\ns;°;°/s\n0;0;-1\n0,02;1,5;-2,25\n0,04;3,0;-0,5\n")(tmp_path))
+    assert (table.time, table.unit("Lenkradwinkel"), table.unit("Gierrate")) == ("Zeit", "°", "°/s")
+    assert table.numbers("Lenkradwinkel").tolist() == [0.0, 1.5, 3.0]
+    assert table.numbers("Gierrate").tolist() == [-1.0, -2.25, -0.5]
+
+
 def test_a_vbo_states_units_in_its_header_and_in_their_own_section(tmp_path):
     head = VBO.replace("time\nLat acc.\n", "satellites\ntime\nvelocity kmh\nLat acc.\n\n[channel units]\ng\n")
     table = only(vbo(tmp_path, ["010 000000.000 1 -0.5"], head))

@@ -23,6 +23,9 @@ from vehicle_sbi.errors import InputError
 LONGEST_PREAMBLE = 500
 """Lines among which the first numbers are sought."""
 
+FIRST_ROWS = 100
+"""Rows of numbers that say which decimal mark they have."""
+
 TIMES = ("time_s", "time", "t", "timestamp", "elapsed time", "elapsed", "zeit", "zeitstempel", "messzeit")
 """Names of the time column, the first that a file has, whatever their case."""
 
@@ -53,8 +56,9 @@ def read(path: Path) -> tuple[Table, ...]:
 
 
 def _numbers(path: Path, rows: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
-    """The rows as columns; a comma is the decimal mark where other separators allow it and the first row has one."""
-    decimal = "," if separator != "," and "," in rows[0] and "." not in rows[0] else "."
+    """The rows as columns; a comma is the decimal mark where others separate and the first rows have no point."""
+    first = "".join(rows[:FIRST_ROWS])
+    decimal = "," if separator != "," and "," in first and "." not in first else "."
     text, columns = StringIO("\n".join(rows)), list(names)
     with foreign(path, "CSV"):
         return pd.read_csv(
@@ -127,7 +131,8 @@ def _is_number(field: str) -> bool:
 
 
 def _separator(line: str) -> str:
-    return max(",;\t", key=line.count)
+    """The sign that separates most fields; where others separate too, a comma between digits is a decimal mark."""
+    return max(",;\t", key=re.sub(r"(?<=\d),(?=\d)", "", line).count)
 
 
 def _fields(line: str, separator: str) -> list[str]:
