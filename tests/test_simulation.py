@@ -1,6 +1,9 @@
 """Laws of a simulation, whatever its model: the integrator's order and steps, symmetry, batches, where it ends."""
 
 import math
+import re
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +23,7 @@ from cars import (
     simulate,
     smooth_inputs,
 )
+from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -282,3 +286,13 @@ def test_only_the_full_vehicle_needs_to_know_its_body() -> None:
     u = paper_manoeuvre()
     assert simulate(record_of(RIGID), "torque", u, (V, 0.0, 0.0))[1][0] != NOT_FINITE
     assert simulate(record_of(RIGID), "torque", u, (V, 0.0, 0.0), model="full_vehicle")[1][0] == NOT_FINITE
+
+
+@pytest.mark.slow
+def test_the_catalogue_at_its_null_costs_less_than_half_of_the_bare_model() -> None:
+    command = [sys.executable, "benchmarks/simulator.py"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    costs = re.search(r"the catalogue at its null costs ([\d.]+) times the bare model", done.stdout)
+    assert costs is not None
+    assert float(costs[1]) < 1.5
