@@ -22,6 +22,12 @@ from vehicle_sbi.report.stage_file import write as write_stage
 from vehicle_sbi.rng import Stream, generator
 
 Result = TypeVar("Result")
+WRITTEN = {  # for the user, with what is to be said of it
+    "verdict.json": "",
+    "extended.yaml": " (for `run`, as its first lines say)",
+    netcdf.FILE: "",
+    "report.html": "",
+}
 
 if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
     from vehicle_sbi.mismatch.selection.reinfer import Reinference
@@ -83,6 +89,6 @@ def show(folder: RunFolder) -> None:
     answer = json.loads((folder.path / "verdict.json").read_text())
     print(answer["headline"], *answer["lines"], *answer["warnings"], sep="\n")
     print()
-    for name in ("verdict.json", "extended.yaml", netcdf.FILE, "report.html"):
+    for name, hint in WRITTEN.items():
         if (folder.path / name).exists():
-            print(folder.path / name)
+            print(f"{folder.path / name}{hint}")

@@ -189,7 +189,7 @@ def read(path: Path) -> FinishedRun:
     """Read a finished run; raises InputError if `path` is no run folder or its run has not finished."""
     manifest = manifests.read(path)
     if manifest["status"] != "complete":
-        raise InputError(f"{path}: the run has not finished; start the same command again to continue it")
+        raise InputError(f"{path}: the run has not finished; its command goes on, or says again why it failed")
     file = path / ".hydra" / "config.yaml"
     config = _yaml(file)
     if manifests.digest(config) != manifest["config"]["sha256"]:
