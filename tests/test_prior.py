@@ -141,6 +141,15 @@ def test_one_parameter_of_an_effect_is_freed_by_its_name() -> None:
     assert space.names == ("l_f", "sensor_lag.imu", *(p.name for p in CATALOGUE["body_roll"].parameters))
 
 
+def test_what_a_channel_has_beside_its_group_of_sensors_is_free_only_where_it_is_named() -> None:
+    def freed(*effects: str) -> tuple[str, ...]:
+        sensed = {"a_x": "imu", "a_y": "imu", "yaw_rate": "imu", "v_x": "can"}
+        return parameter_space({}, vehicle=PAPER, model="single_track", effects=effects, sensed=sensed).names
+
+    assert freed("sensor_delay") == ("sensor_delay.imu", "sensor_delay.can")
+    assert freed("sensor_delay.imu", "sensor_delay.a_y") == ("sensor_delay.imu", "sensor_delay.a_y")
+
+
 def test_an_unknown_effect_is_refused_with_the_nearest_first() -> None:
     with pytest.raises(InputError, match="effects: unknown effect 'aero_drug'; known: aero_drag, "):
         parameter_space({"l_f": [1.0, 1.5]}, vehicle=PAPER, model="single_track", effects=["aero_drug"])

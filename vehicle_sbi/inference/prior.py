@@ -97,6 +97,11 @@ def reported(p: Parameter, sensed: Mapping[str, str]) -> bool:
     return True
 
 
+def shared(p: Parameter, sensed: Mapping[str, str]) -> bool:
+    """Whether a parameter belongs to what is recorded and is no channel's own, which its group's cannot be told from."""
+    return reported(p, sensed) and p.name.split(".")[-1] not in MEASUREMENTS
+
+
 def typical(vehicle: Vehicle, model: str) -> dict[str, float]:
     """For each constant that the vehicle file leaves out the middle of its box for a car of this size."""
     boxes = {name: usual(name, vehicle) for name in vehicle.missing(model)}
@@ -125,7 +130,7 @@ def parameter_space(
     Boxes that are not stated, or stated as `usual`, are those of a car of this size. A null takes a parameter out of
     the prior, and one of an effect out of the effect: it stays where that vanishes. With what is `sensed` (the group of
     each channel), neither constants that nothing recorded depends on are freed nor what effects do to sensors that are
-    not recorded.
+    not recorded; what one channel has beside its group of sensors is only by its name.
     Raises InputError for an unknown name, a box with low >= high, or one in which no vehicle exists.
     """
     free: dict[str, Parameter] = {}
@@ -135,7 +140,8 @@ def parameter_space(
         free[name] = usual(name, vehicle) if value == USUAL else _boxed(name, value)
     named = stated(prior)
     for p in itertools.chain(*map(_parameters_of, effects)):
-        if p.name not in named and (sensed is None or reported(p, sensed)):
+        acts = reported if p.name in effects else shared
+        if p.name not in named and (sensed is None or acts(p, sensed)):
             free[p.name] = usual(p.name, vehicle)
     settled = {name for p in free.values() for name in p.fields}
     settled |= set() if sensed is None else {*unused(drive, model, sensed)}
