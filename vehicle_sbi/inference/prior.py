@@ -98,7 +98,7 @@ def reported(p: Parameter, sensed: Mapping[str, str]) -> bool:
 
 
 def shared(p: Parameter, sensed: Mapping[str, str]) -> bool:
-    """Whether a parameter belongs to what is recorded and is no channel's own, which its group's cannot be told from."""
+    """Whether a parameter belongs to what is recorded, and is not what one channel has beside its group of sensors."""
     return reported(p, sensed) and p.name.split(".")[-1] not in MEASUREMENTS
 
 
@@ -130,7 +130,7 @@ def parameter_space(
     Boxes that are not stated, or stated as `usual`, are those of a car of this size. A null takes a parameter out of
     the prior, and one of an effect out of the effect: it stays where that vanishes. With what is `sensed` (the group of
     each channel), neither constants that nothing recorded depends on are freed nor what effects do to sensors that are
-    not recorded; what one channel has beside its group of sensors is only by its name.
+    not recorded; what one channel has beside its group of sensors is free only by its name.
     Raises InputError for an unknown name, a box with low >= high, or one in which no vehicle exists.
     """
     free: dict[str, Parameter] = {}
