@@ -18,7 +18,11 @@ def prove(*arguments: str) -> tuple[int, str, str]:
 
 @pytest.mark.parametrize(
     ("argument", "said"),
-    [("cases=0", "cases = 0; it must be a whole number above 0"), ("mix=some", "prove: unknown mix 'some'; known: ")],
+    [
+        ("cases=0", "cases = 0; it must be a whole number above 0"),
+        ("first=400", "first = 400; it must be a case before cases = 400, counted from 0"),
+        ("mix=some", "prove: unknown mix 'some'; known: "),
+    ],
 )
 def test_a_wrong_value_gets_one_line(tmp_path: Path, argument: str, said: str) -> None:
     status, out, err = prove(argument, f"folder={tmp_path}/cases", f"results={tmp_path}/results")

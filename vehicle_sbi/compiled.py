@@ -23,11 +23,12 @@ LEVEL = 1  # of LLVM's optimisation
 
 
 def _cache_folder() -> Path:
-    """A per-user cache folder that names the physics, whatever else is compiled, and numba's version by their hash."""
-    package, digest = Path(__file__).parent, hashlib.sha256(f"{numba.__version__} {LEVEL}".encode())
-    for source in sorted(package.rglob("*.py")):
+    """A per-user cache folder that names numba's version, this file, the physics and whatever else is compiled by their
+    hash."""
+    digest = hashlib.sha256(numba.__version__.encode() + Path(__file__).read_bytes())
+    for source in sorted(Path(__file__).parent.rglob("*.py")):
         text = source.read_bytes()
-        if source.parent.name == "physics" or re.search(rb"^from vehicle_sbi.compiled import", text, re.MULTILINE):
+        if source.parent.name == "physics" or re.search(rb"^from vehicle_sbi\.compiled import", text, re.MULTILINE):
             digest.update(text)
     root = os.environ.get("XDG_CACHE_HOME") or (Path.home() / ".cache")
     folder = Path(root) / "vehicle_sbi" / digest.hexdigest()[:16]

@@ -194,7 +194,10 @@ class Expansion:
         way: Sequence[float],
         steps: int,
     ) -> Fit | None:
-        """So many steps under white noise that is so many times the sensors', one after another."""
+        """So many steps under white noise that is so many times the sensors', one after another.
+
+        What parameters do is the same under any noise, so derivatives are kept from one to the next.
+        """
         fit, noise = None, observation.simulator.noise.of_sensor
         for k, factor in enumerate(way):
             white = replace(noise, floor=factor * noise.floor, rho=np.zeros_like(noise.rho))
