@@ -26,12 +26,13 @@ import pandas as pd
 from gathering import RESULTS
 from jaxtyping import Float
 from whole_car.page import calibration
-from whole_car.scores import NAMED, STRONG, standing
+from whole_car.scores import STRONG, standing
 
 from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.effect_prior import EffectPrior
+from vehicle_sbi.mismatch.answer.wording import NAMED
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, to_nulls
-from vehicle_sbi.mismatch.hypotheses.dictionary import unnamed
+from vehicle_sbi.mismatch.hypotheses.dictionary import sources
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy
 from vehicle_sbi.mismatch.pipeline import AtOnce
 from vehicle_sbi.mismatch.selection.expand_and_prune import groups_of
@@ -81,7 +82,7 @@ def problem(path: Path, prior: EffectPrior) -> Problem | None:
     pruned = read(path / "stages" / "pruned.npz", AtOnce).pruned
     if pruned is None:
         return None
-    off = [one.about(pruned.fit) for one in unnamed(pruned.fit)]
+    off = [one.about(pruned.fit) for one in sources(pruned.fit)]
     about = to_nulls(pruned.expansion, pruned.fit)
     return Problem(pruned, off, linear_gaussian(pruned.expansion, [(about, [d.whitened for d in off])]), prior)
 

@@ -10,7 +10,7 @@ from vehicle_sbi.inference.directions import left_out
 from vehicle_sbi.mismatch.answer.schema import Verdict
 from vehicle_sbi.mismatch.answer.verdict import Found, verdict
 from vehicle_sbi.mismatch.design.identifiability import card
-from vehicle_sbi.mismatch.estimation.fit_check import Gate
+from vehicle_sbi.mismatch.estimation.fit_check import FitCheck
 from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.pipeline import proved
 from vehicle_sbi.mismatch.problem.case import Case
@@ -44,7 +44,7 @@ def diagnosed() -> tuple[Case, Found, Verdict]:
     pruned = expand_and_prune(base, known, None, prior=case.effect_prior, rng=np.random.default_rng(0), budget=SHORT)
     likeliest = extended(base, pruned, seen.alike, detected=True)
     predictions, gained = proved(case, Model.without_effects(base), likeliest.model)
-    found = Found(Gate(0.1, 0.0), examined, pruned, likeliest, predictions, gained, seen)
+    found = Found(FitCheck(0.1, 0.0), examined, pruned, likeliest, predictions, gained, seen)
     return case, found, verdict(case, found)
 
 

@@ -24,7 +24,7 @@ from vehicle_sbi.files import sha256
 from vehicle_sbi.inference.directions import Direction
 from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.mismatch.design.identifiability import Card
-from vehicle_sbi.mismatch.estimation.fit_check import Gate
+from vehicle_sbi.mismatch.estimation.fit_check import FitCheck
 from vehicle_sbi.mismatch.pipeline import AtOnce, Begun
 from vehicle_sbi.mismatch.selection.detection import Examined
 from vehicle_sbi.mismatch.selection.extended import Extended
@@ -174,11 +174,11 @@ def test_the_page_answers_as_the_screen_does(run: Path) -> None:
 
 
 def test_why_the_fit_may_not_be_relied_on_is_printed(run: Path, tmp_path: Path) -> None:
-    # The same diagnosis, had its gate found weights with a heavy tail, as it would have gone on from there.
+    # The same diagnosis, had its check found weights with a heavy tail, as it would have gone on from there.
     folder = tmp_path / "run"
     shutil.copytree(run, folder)
     begun = read(folder / "stages" / "fit.npz", Begun)
-    write(folder / "stages" / "fit.npz", replace(begun, gate=Gate(0.93, 0.0)), Begun)
+    write(folder / "stages" / "fit.npz", replace(begun, fit_check=FitCheck(0.93, 0.0)), Begun)
     status, out, err = goes_on(folder, "stages/fit.npz")
     assert status == 0, err
     warning = next(line for line in out.splitlines() if "Pareto k = 0.93" in line)

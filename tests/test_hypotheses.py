@@ -84,7 +84,7 @@ def test_the_dictionary_has_every_kind(about: Linearised, known: Sequence[Direct
     alone = dictionary.tested(about, known)
     assert len(alone) == sum(len(made(about, known)) for made in TESTED.values())
     assert len(dictionary.together(about, alone)) == len(about.fit.simulator.windows.channels) + 1
-    off = [one.about(about.fit) for one in dictionary.unnamed(about.fit)]
+    off = [one.about(about.fit) for one in dictionary.sources(about.fit)]
     assert {type(one) for one in off} == {discrepancy.Discrepancy, quantisation.InSteps}
     columns = len(expansion.sizes) + sum(len(one.series) for one in off)
     assert sum(len(one.sign) for one in dictionary.believed(expansion, off, PRIOR)) == columns
@@ -209,7 +209,7 @@ def test_an_effect_is_believed_as_often_as_stated_and_on_the_sides_of_its_null_t
 def test_hypotheses_are_data_that_a_file_keeps(
     about: Linearised, known: Sequence[Direction], expansion: Expansion, tmp_path: Path
 ) -> None:
-    off = [one.about(about.fit) for one in dictionary.unnamed(about.fit)]
+    off = [one.about(about.fit) for one in dictionary.sources(about.fit)]
     kept = (dictionary.tested(about, known), dictionary.believed(expansion, off, PRIOR))
     write(tmp_path / "one.npz", kept, tuple[list[Hypothesis], list[Belief]])
     assert same(read(tmp_path / "one.npz", tuple[list[Hypothesis], list[Belief]]), kept)

@@ -17,7 +17,7 @@ from recorded import TRUTH, lateral, recorded
 from vehicle_sbi.files import write_atomically
 from vehicle_sbi.inference.directions import Direction, directions
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
-from vehicle_sbi.mismatch.estimation.fit_check import Gate
+from vehicle_sbi.mismatch.estimation.fit_check import FitCheck
 from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.hypotheses.block import Stretch
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
@@ -132,7 +132,7 @@ def test_values_keep_their_types(tmp_path: Path) -> None:
         ([{"a": (object(),)}], "[0][0][a][0]"),
         (np.array([None]), "[0]"),
         ({GAIN: {1, 2}}, "[0]["),
-        (Gate(0.5, 0.0), "[0]"),
+        (FitCheck(0.5, 0.0), "[0]"),
         (np.ma.masked_array([1.0]), "[0]"),
     ],
 )
@@ -145,7 +145,7 @@ def test_what_is_no_data_is_refused_with_its_place(value: object, where: str, tm
 
 def test_classes_are_those_of_the_expected_type() -> None:
     assert {"Kept", "Fit", "Parameter", "Target"} <= {one.__name__ for one in dataclasses_in(Kept).values()}
-    assert [*dataclasses_in(tuple[Gate, ...])] == ["vehicle_sbi.mismatch.estimation.fit_check.Gate"]
+    assert [*dataclasses_in(tuple[FitCheck, ...])] == ["vehicle_sbi.mismatch.estimation.fit_check.FitCheck"]
 
 
 def refused(path: Path, kind: Any = Kept) -> bool:
@@ -198,11 +198,11 @@ def altered(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
 )
 def test_a_file_of_another_class_version_or_type_is_refused(change: Callable[..., object], tmp_path: Path) -> None:
     path = tmp_path / "one.npz"
-    write(path, Gate(0.5, 1.0), Gate)
+    write(path, FitCheck(0.5, 1.0), FitCheck)
     altered(path, lambda tree: None)
-    assert read(path, Gate) == Gate(0.5, 1.0)
+    assert read(path, FitCheck) == FitCheck(0.5, 1.0)
     altered(path, change)
-    assert refused(path, Gate)
+    assert refused(path, FitCheck)
 
 
 def test_a_file_that_is_damaged_is_refused(found: Kept, tmp_path: Path) -> None:
@@ -223,7 +223,7 @@ def test_a_fit_of_four_windows_is_written_at_once(tmp_path: Path) -> None:
     fit = a_fit(windows=4)
     numbers = [fit.observation.observed, fit.at.y, fit.at.J, fit.at.J_x, *vars(fit.simulator.windows).values()]
     start = time.perf_counter()
-    write(tmp_path / "one.npz", (fit, Gate(0.5, 0.0)), tuple[Fit, Gate])
+    write(tmp_path / "one.npz", (fit, FitCheck(0.5, 0.0)), tuple[Fit, FitCheck])
     assert time.perf_counter() - start < 0.5
     size = sum(one.nbytes for one in numbers if isinstance(one, np.ndarray))
     assert size < (tmp_path / "one.npz").stat().st_size < size + 20_000

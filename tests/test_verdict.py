@@ -21,7 +21,7 @@ from vehicle_sbi.mismatch.answer.verdict import Found, _parameters, _share_expla
 from vehicle_sbi.mismatch.answer.wording import NAMED, _limits, headline
 from vehicle_sbi.mismatch.design.identifiability import card
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
-from vehicle_sbi.mismatch.estimation.fit_check import Gate
+from vehicle_sbi.mismatch.estimation.fit_check import FitCheck
 from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.selection.detection import examine
 from vehicle_sbi.mismatch.selection.expand_and_prune import Budget, expand_and_prune
@@ -161,8 +161,9 @@ def test_a_headline_has_at_most_25_words_however_many_names_there_are() -> None:
     for n, p_unknown in itertools.product((0, 1, 4, 5, len(names)), (0.1, 0.97)):
         effects = dict.fromkeys((name for name in names[:n] if name not in group), 0.97)
         answer: Any = SimpleNamespace(
-            detected=True, p_value=0.004, effects=effects, indistinguishable=[group] * 3, p_unknown=p_unknown
-        )
+            detected=True, p_value=0.004, effects=effects, p_unknown=p_unknown,
+            indistinguishable=[group] * 3, p_indistinguishable=[0.97] * 3,
+        )  # fmt: skip
         said = headline(answer, trusted=False)
         assert len(said.split()) <= 25
         assert said.startswith("The base fit is doubtful. Missing: ")
@@ -173,7 +174,7 @@ def test_what_is_found_has_the_base_model_that_was_examined(base: Fit) -> None:
     known = directions(base.simulator, base.theta, CATALOGUE["body_roll"])
     examined = examine(base, known, np.random.default_rng(0))
     seen = card(base.simulator, base.theta, known)
-    found = Found(Gate(0.1, 0.0), examined, None, extended(base, None, [], detected=True), {}, None, seen)
+    found = Found(FitCheck(0.1, 0.0), examined, None, extended(base, None, [], detected=True), {}, None, seen)
     assert found.base.fit is base
     assert examined.detected
     assert examined.places[0].p_value < 0.05

@@ -35,8 +35,10 @@ class WholeCars:
     def judged(
         self, folder: Path, built: Sequence[int], diagnoses: Sequence[str], command: str, where: str
     ) -> tuple[pd.DataFrame, str]:
-        """Columns are the diagnoses and simpler methods, each over the cases that all diagnoses have answered."""
+        """Columns are the diagnoses, and simpler methods where they were asked, over the cases that all diagnoses have
+        answered."""
         found = {called(name): _every(folder, built, name) for name in diagnoses}
+        found = {name: one for name, one in found.items() if one or name not in SIMPLER}
         answered, unanswered = by_all({name: one for name, one in found.items() if name not in SIMPLER}, built)
         columns = {SIMPLER.get(name, name): [one[i] for i in answered if i in one] for name, one in found.items()}
         return page.table(next(iter(columns.values()))), page.report(columns, unanswered, command, where)

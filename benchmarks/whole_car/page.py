@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 from measures import Measure, listed, mean, median, rms, shown, without_answer
 
+from vehicle_sbi.mismatch.answer.wording import NAMED
 from vehicle_sbi.report.tables import markdown
-from whole_car.scores import NAMED, STRONG, Parameters, Scored
+from whole_car.scores import STRONG, Parameters, Scored
 
 BINS = 10  # of stated probabilities
 OWN = "this project"

@@ -10,10 +10,10 @@ import numpy as np
 import yaml
 from scipy.stats import norm
 
+from vehicle_sbi.mismatch.answer.wording import NAMED
 from vehicle_sbi.physics.effects import CATALOGUE
 from whole_car.cars import LIKE
 
-NAMED = 0.5  # probability, from which an effect is named
 STRONG = 8.0  # signal-to-noise ratio beyond all other effects, from which one should be named
 SHOWS = 4.0  # signal-to-noise ratio after the base parameters, from which an effect excuses the name of what is like it
 REDUCIBLE = 0.1  # of the oracle's error, by which a channel's has to exceed it for there to be anything to gain

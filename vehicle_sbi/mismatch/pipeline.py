@@ -12,7 +12,7 @@ from vehicle_sbi.mismatch.answer.verdict import Found, verdict
 from vehicle_sbi.mismatch.design.identifiability import Card, card
 from vehicle_sbi.mismatch.estimation.base_fit import fitted
 from vehicle_sbi.mismatch.estimation.fit import Fit
-from vehicle_sbi.mismatch.estimation.fit_check import Gate, through
+from vehicle_sbi.mismatch.estimation.fit_check import FitCheck, mended
 from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.problem.case import Case
 from vehicle_sbi.mismatch.selection.detection import Examined, examine
@@ -39,7 +39,7 @@ class Begun:
     """The base model's fit, and how far it can be trusted."""
 
     base: Fit
-    gate: Gate
+    fit_check: FitCheck
 
 
 @dataclass(frozen=True)
@@ -84,12 +84,12 @@ def steps(
     )
     likeliest = keep("extended", Extended, lambda: _extended(base, at_once.pruned, seen, examined.detected, infer))
     predictions, gained = proved(case, Model.without_effects(base), likeliest.model)
-    return Found(begun.gate, examined, at_once.pruned, likeliest, predictions, gained, seen)
+    return Found(begun.fit_check, examined, at_once.pruned, likeliest, predictions, gained, seen)
 
 
 def begin(case: Case, rng: np.random.Generator) -> Begun:
     """The base model's fit, started from many places."""
-    return Begun(*through(fitted(case.observation, rng), rng))
+    return Begun(*mended(fitted(case.observation, rng), rng))
 
 
 def _extended(base: Fit, pruned: Pruned | None, seen: Card, detected: bool, infer: Infer | None) -> Extended:

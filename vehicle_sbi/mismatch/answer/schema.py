@@ -137,10 +137,10 @@ class Verdict:
     nothing is, `p_unknown`: that there is a discrepancy which no effect stands for and that can be told
     from nothing, `p_unknown_alone`: that there is, and no effect is missing;
     `share_explained`: what the likeliest set explains of the misfit; `indistinguishable`: groups of effects that stand
-    for each other; `could_show` and `invisible`: which the recordings would have shown with a power of 80 %, and which
-    they could not;
-    `cannot_act`: which change nothing here whatever their size, and why; `unsupported`: effects that may as well not be
-    missing, the likeliest first; `warnings`: those of the notes that say why the base model's fit may not be relied on.
+    for each other, `p_indistinguishable`: how probable it is that any of each is missing; `could_show` and `invisible`:
+    which the recordings would have shown with a power of 80 %, and which they could not; `cannot_act`: which change
+    nothing here whatever their size, and why; `unsupported`: effects that may as well not be missing, the likeliest
+    first; `warnings`: those of the notes that say why the base model's fit may not be relied on.
     """
 
     schema: int
@@ -157,6 +157,7 @@ class Verdict:
     share_explained: float | None
     unknown: Unknown | None
     indistinguishable: list[list[str]]
+    p_indistinguishable: list[float]
     separating_experiment: str
     fit: dict[str, object]
     base_parameters: dict[str, object]

@@ -25,7 +25,7 @@ from vehicle_sbi.mismatch.design.experiment import advice
 from vehicle_sbi.mismatch.design.identifiability import Card
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, drawn
 from vehicle_sbi.mismatch.estimation.fit import Fit
-from vehicle_sbi.mismatch.estimation.fit_check import Gate
+from vehicle_sbi.mismatch.estimation.fit_check import FitCheck
 from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.hypotheses.block import Stretch, clock, own_time, stretches
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
@@ -51,7 +51,7 @@ STUCK = 0.2  # share of the draws beyond a parameter's box, from which it would 
 class Found:
     """What the steps of a diagnosis have found, each from those before it."""
 
-    gate: Gate
+    fit_check: FitCheck
     examined: Examined
     pruned: Pruned | None
     extended: Extended
@@ -76,6 +76,7 @@ def verdict(case: Case, found: Found) -> Verdict:
     fit |= {} if found.gained is None else {"gain_log_score": asdict(found.gained)}
     fit |= {} if accepted is None else {"accepted": accepted.accepted, "accepted_because": accepted.because}
     warnings = [*case.warnings, *_warnings(found)]
+    alike = alternatives(pruned, found.seen.alike) if pruned and detected else []
     answer = Verdict(
         schema=SCHEMA,
         headline="",
@@ -90,7 +91,8 @@ def verdict(case: Case, found: Found) -> Verdict:
         p_unknown_alone=float((pruned.nothing & pruned.unexplained).mean()) if pruned else float(detected),
         share_explained=_share_explained(found.base.fit, model.fit) if model.effects else None,
         unknown=_unknown(pruned) if pruned and detected else None,
-        indistinguishable=alternatives(pruned, found.seen.alike) if pruned and detected else [],
+        indistinguishable=alike,
+        p_indistinguishable=[pruned.any_of(group) for group in alike] if pruned else [],
         separating_experiment=advice(model, found.extended.other) if found.extended.other else "",
         fit=fit,
         base_parameters={
@@ -107,7 +109,8 @@ def verdict(case: Case, found: Found) -> Verdict:
         notes=[*warnings, *_unpredicted(found), *case.notes],
         sentence="",
     )
-    return _in_words(answer, found, trusted=found.gate.trusted and not _cornered(_rim(found.base, "base"), "base"))
+    trusted = found.fit_check.trusted and not _cornered(_rim(found.base, "base"), "base")
+    return _in_words(answer, found, trusted=trusted)
 
 
 def _in_words(answer: Verdict, found: Found, *, trusted: bool) -> Verdict:
@@ -219,7 +222,7 @@ def _warnings(found: Found) -> list[str]:
     models = {"base": found.base} | ({"extended": found.extended.model} if found.extended.model.effects else {})
     on_rims = {called: _rim(one, called) for called, one in models.items()}
     cornered = [line for called, said in on_rims.items() for line in _cornered(said, called)]
-    return [*cornered, *found.gate.notes, *itertools.chain(*on_rims.values()), *_misfit(found.base.fit)]
+    return [*cornered, *found.fit_check.notes, *itertools.chain(*on_rims.values()), *_misfit(found.base.fit)]
 
 
 def _unpredicted(found: Found) -> list[str]:

@@ -68,16 +68,22 @@ def spoken_p(p_value: float) -> str:
 def _missing(begun: str, named: Sequence[str], spelled: int, unknown: float) -> str:
     """With so many of the names spelled out, and that something unknown is missing beside them if it is likely."""
     more = [f"{len(named) - spelled} more"] if len(named) > spelled else []
-    unnamed = [f"something unknown ({unknown:.2f})"] if unknown else []
-    *first, last = [*named[:spelled], *more, *unnamed]
-    return f"{begun}Missing: {', '.join(first)}{', and ' if more or unnamed else ', ' if first else ''}{last}."
+    unknowns = [f"something unknown ({unknown:.2f})"] if unknown else []
+    *first, last = [*named[:spelled], *more, *unknowns]
+    return f"{begun}Missing: {', '.join(first)}{', and ' if more or unknowns else ', ' if first else ''}{last}."
 
 
 def _named(answer: Verdict) -> Iterator[str]:
     """Effects that are likely to be missing, and groups of which one is, with their probabilities."""
     named = {name: p for name, p in answer.effects.items() if p > NAMED}
     yield from (f"{_plain(name)} ({p:.2f})" for name, p in named.items())
-    yield from (" or ".join(map(_plain, group[:2])) for group in answer.indistinguishable if not {*group} & {*named})
+    groups = zip(answer.indistinguishable, answer.p_indistinguishable, strict=True)
+    yield from (f"{_either(group)} ({p:.2f})" for group, p in groups if not {*group} & {*named})
+
+
+def _either(group: Sequence[str]) -> str:
+    """The likeliest two of a group, and that there are more if there are."""
+    return " or ".join([*map(_plain, group[:2]), *(["alike"] if len(group) > 2 else [])])
 
 
 def _plain(name: str) -> str:

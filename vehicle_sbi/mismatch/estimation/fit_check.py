@@ -22,7 +22,7 @@ REFITS = 2
 
 
 @dataclass(frozen=True)
-class Gate:
+class FitCheck:
     """`k` of the weights, and by how much log likelihood the best point drawn beats the fit."""
 
     k: float
@@ -49,7 +49,7 @@ class Gate:
         return tuple(said)
 
 
-def gate(fit: Fit, rng: np.random.Generator) -> tuple[Gate, Float[np.ndarray, " d"]]:
+def checked(fit: Fit, rng: np.random.Generator) -> tuple[FitCheck, Float[np.ndarray, " d"]]:
     """How far a fit can be trusted, and the likeliest point that was drawn about it."""
     space, simulator = fit.simulator.space, fit.simulator
     factor = np.linalg.cholesky(fit.covariance)
@@ -58,24 +58,24 @@ def gate(fit: Fit, rng: np.random.Generator) -> tuple[Gate, Float[np.ndarray, " 
     inside = np.flatnonzero(((theta >= space.low) & (theta <= space.high)).all(axis=1))[:DRAWS]
     theta, unit = theta[inside], unit[inside]
     if len(theta) < DRAWS // 2:
-        return Gate(np.inf, 0.0), fit.theta
+        return FitCheck(np.inf, 0.0), fit.theta
     valid = simulator.windows.valid
     off = np.where(valid, fit.observation.observed - simulator.noise_free(theta), 0.0)
     here, there = cost(fit.metric, fit.residual[None])[0], cost(fit.metric, off)
     log_weight = here - there + 0.5 * np.sum(unit**2, axis=1)
     best = int(np.argmin(there))
-    return Gate(pareto_k(log_weight), float(max(here - there[best], 0.0))), theta[best]
+    return FitCheck(pareto_k(log_weight), float(max(here - there[best], 0.0))), theta[best]
 
 
-def through(fit: Fit, rng: np.random.Generator) -> tuple[Fit, Gate]:
+def mended(fit: Fit, rng: np.random.Generator) -> tuple[Fit, FitCheck]:
     """The fit, done again from any likelier point that is found about it, and how far it can be trusted then."""
-    passed, point = gate(fit, rng)
+    check, point = checked(fit, rng)
     for _ in range(REFITS):
-        if passed.gap <= GAP:
+        if check.gap <= GAP:
             break
         found = descend(fit.observation, point)
         if found is None:
             break
         fit = with_own_noise(found)
-        passed, point = gate(fit, rng)
-    return fit, passed
+        check, point = checked(fit, rng)
+    return fit, check

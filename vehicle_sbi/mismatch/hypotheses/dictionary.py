@@ -8,7 +8,7 @@ from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.linearised import Linearised
 from vehicle_sbi.mismatch.hypotheses import block, discrepancy, effect, quantisation, regressor
-from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Unnamed
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Source
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief, Hypothesis, Together
 
 
@@ -23,7 +23,7 @@ def together(about: Linearised, alone: Sequence[Hypothesis]) -> list[Together]:
     return [*block.together(about, alone), *quantisation.together(about)]
 
 
-def unnamed(fit: Fit) -> list[Unnamed]:
+def sources(fit: Fit) -> list[Source]:
     """What is sampled beside effects: loads and errors that no effect stands for, and readings in steps."""
     return [*discrepancy.responses(fit), *quantisation.readings(fit)]
 

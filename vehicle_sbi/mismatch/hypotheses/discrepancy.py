@@ -42,8 +42,8 @@ class Discrepancy:
         return believed(len(self.series), prior)
 
 
-class Unnamed(Protocol):
-    """What no effect stands for, found about one fit, that is a discrepancy about any other."""
+class Source(Protocol):
+    """Of a discrepancy: found about one fit, it has columns about any other."""
 
     def about(self, fit: Fit) -> Discrepancy:
         """As columns of a linear model, under the noise of a fit."""

@@ -6,7 +6,7 @@ A kind is a file of this folder with one or more of the functions `tested`, `tog
     Together     several that are tested at once, about the same fit: the log likelihood that they gain at their best
     Belief       what is believed, before the recording is seen, of columns that are sampled beside all others
 
-What is sampled and has no name (`discrepancy.Unnamed`) makes its columns anew about each fit.
+A source of discrepancy (`discrepancy.Source`) is sampled too, and makes its columns anew about each fit.
 """
 
 from collections.abc import Sequence

@@ -27,8 +27,8 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     showing,
     to_nulls,
 )
-from vehicle_sbi.mismatch.hypotheses.dictionary import believed, unnamed
-from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Unnamed, parts, remainders
+from vehicle_sbi.mismatch.hypotheses.dictionary import believed, sources
+from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Source, parts, remainders
 from vehicle_sbi.mismatch.hypotheses.spans import likeliest_spans
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Shared, sample
@@ -165,7 +165,7 @@ class _Asked:
     hardly depend on the fit), recordings that help to name, and what is believed."""
 
     observed: Float[np.ndarray, "channels time"]
-    tried: list[list[Unnamed]]
+    sources: list[list[Source]]
     naming: Observation | None
     prior: EffectPrior
     rng: np.random.Generator
@@ -179,13 +179,13 @@ class _Asked:
         prior: EffectPrior,
         rng: np.random.Generator,
     ) -> "_Asked":
-        return cls(observed, [unnamed(one) for one in (fit, *_further(fit, naming))], naming, prior, rng)
+        return cls(observed, [sources(one) for one in (fit, *_further(fit, naming))], naming, prior, rng)
 
     def told(self, now: _Round, fit: Fit, chain: Chain) -> _Told:
         """What the linear model about a fit tells."""
         fit = replace(fit, observation=replace(fit.observation, observed=self.observed))
         fits, expansion = [fit, *_further(fit, self.naming)], now.expansion
-        off = [[it.about(one) for it in them] for one, them in zip(fits, self.tried, strict=False)]
+        off = [[it.about(one) for it in them] for one, them in zip(fits, self.sources, strict=False)]
         about = [to_nulls(expansion, one) for one in fits]
         problem = linear_gaussian(expansion, [*zip(about, map(_columns, off), strict=False)])
         groups = groups_of(expansion, [*itertools.chain(*off)], self.prior)

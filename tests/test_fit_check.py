@@ -1,4 +1,4 @@
-"""A fit is let through where the posterior about it is what it seems; else it is mended, or said not to be trusted."""
+"""A fit is trusted where the posterior about it is what it seems; else it is mended, or said not to be trusted."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from recorded import fitted, lateral, recorded
 
 from vehicle_sbi.inference.importance import TRUSTED, pareto_k
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
-from vehicle_sbi.mismatch.estimation.fit_check import GAP, Gate, gate, through
+from vehicle_sbi.mismatch.estimation.fit_check import GAP, FitCheck, checked, mended
 
 
 @pytest.mark.parametrize("k", [0.3, 0.9])
@@ -19,11 +19,11 @@ def test_the_tail_of_pareto_weights_has_their_shape(k: float) -> None:
     assert found == pytest.approx(k, abs=4 * (1 + k) / np.sqrt(m) + 10 / (m + 10) * abs(k - 0.5))
 
 
-def test_a_normal_posterior_is_let_through() -> None:
+def test_a_normal_posterior_is_trusted() -> None:
     fit = fitted(recorded(lateral(), seed=1))
-    passed, _ = gate(fit, np.random.default_rng(0))
-    assert passed.k < TRUSTED
-    assert not passed.notes
+    check, _ = checked(fit, np.random.default_rng(0))
+    assert check.k < TRUSTED
+    assert not check.notes
 
 
 def test_a_fit_that_is_no_optimum_is_done_again() -> None:
@@ -32,23 +32,23 @@ def test_a_fit_that_is_no_optimum_is_done_again() -> None:
     values, vectors = np.linalg.eigh(optimum.covariance)
     off = optimum.theta + 3.0 * np.sqrt(values[0]) * vectors[:, 0]
     fit = Fit(optimum.observation, off, linearise(optimum.simulator, off))
-    assert gate(fit, np.random.default_rng(0))[0].gap > GAP
-    mended, passed = through(fit, np.random.default_rng(0))
-    assert passed.gap <= GAP
+    assert checked(fit, np.random.default_rng(0))[0].gap > GAP
+    better, check = mended(fit, np.random.default_rng(0))
+    assert check.gap <= GAP
     # Both end within 0.01 of log likelihood of the optimum, which is 0.15 standard deviations.
-    assert np.abs(mended.theta - optimum.theta).max() < 2 * 0.15 * np.sqrt(values.max())
+    assert np.abs(better.theta - optimum.theta).max() < 2 * 0.15 * np.sqrt(values.max())
 
 
-def test_a_fit_in_a_corner_of_the_prior_is_not_let_through() -> None:
+def test_a_fit_in_a_corner_of_the_prior_is_not_trusted() -> None:
     fit = fitted(recorded(lateral(), seed=1))
     corner = fit.simulator.space.high
     cornered = Fit(fit.observation, corner, linearise(fit.simulator, corner))
-    passed, _ = gate(cornered, np.random.default_rng(0))
-    assert passed.k > TRUSTED or passed.gap > GAP
-    assert passed.notes
+    check, _ = checked(cornered, np.random.default_rng(0))
+    assert check.k > TRUSTED or check.gap > GAP
+    assert check.notes
 
 
 def test_what_is_said_has_its_numbers() -> None:
-    assert Gate(0.3, 0.1).notes == ()
-    assert "0.93" in Gate(0.93, 0.0).notes[0]
-    assert "7.1" in Gate(0.3, 7.1).notes[0]
+    assert FitCheck(0.3, 0.1).notes == ()
+    assert "0.93" in FitCheck(0.93, 0.0).notes[0]
+    assert "7.1" in FitCheck(0.3, 7.1).notes[0]
