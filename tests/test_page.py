@@ -3,6 +3,8 @@
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,7 +13,9 @@ from pages import HOSTILE, diagnosis_page, run_page
 from test_report import PNG, finished_run, table
 
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.mismatch.answer.wording import as_a_whole
 from vehicle_sbi.report.page import parts
+from vehicle_sbi.report.page.diagnosis import _where
 from vehicle_sbi.report.page.index import BROKEN, CALIBRATION, COMPLETE, DIAGNOSIS, RUN, UNFINISHED, rows, write_index
 from vehicle_sbi.report.page.page import Page, write_page
 from vehicle_sbi.report.page.parts import Listed, Picture, Section, Table, Words
@@ -79,6 +83,14 @@ def test_the_page_of_a_diagnosis_holds_the_answer_and_its_warnings(diagnosis: tu
     assert "absorbed by" in text
     (curves, *_) = page.curves
     assert list(curves.keys)[:3] == ["recorded", "base", "extended"]
+
+
+def test_a_page_never_denies_a_mismatch_that_it_names() -> None:
+    found: Any = None  # which is asked for places alone
+    answer: Any = SimpleNamespace(mismatch=[], detected=True, p_value=0.008)
+    assert _where(answer, found) == Words([f"They differ {as_a_whole(answer)}."])
+    answer.detected = False
+    assert _where(answer, found) == Words(["Nowhere beyond noise."])
 
 
 def test_the_page_of_a_run_says_what_was_told_and_what_was_not(run: tuple[Page, str]) -> None:

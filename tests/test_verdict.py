@@ -18,7 +18,7 @@ from vehicle_sbi.inference.features import Score
 from vehicle_sbi.inference.rounds import Truncated
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.mismatch.answer.verdict import Found, _parameters, _share_explained, _unknown
-from vehicle_sbi.mismatch.answer.wording import NAMED, _limits, headline
+from vehicle_sbi.mismatch.answer.wording import NAMED, _limits, _sizes, headline
 from vehicle_sbi.mismatch.design.identifiability import card
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import FitCheck
@@ -168,6 +168,11 @@ def test_a_headline_has_at_most_25_words_however_many_names_there_are() -> None:
         assert len(said.split()) <= 25
         assert said.startswith("The base fit is doubtful. Missing: ")
         assert said.endswith("something unknown (0.97).") == (p_unknown > NAMED)
+
+
+def test_a_mismatch_that_stands_out_nowhere_is_said_to_be_one_as_a_whole(base: Fit) -> None:
+    answer: Any = SimpleNamespace(mismatch=[], p_value=0.008, explanations=[], effects={})
+    assert _sizes(answer, base.simulator).startswith("They differ as a whole (p = 0.008), but no single stretch")
 
 
 def test_what_is_found_has_the_base_model_that_was_examined(base: Fit) -> None:

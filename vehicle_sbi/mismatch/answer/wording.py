@@ -108,15 +108,24 @@ def lines(answer: Verdict, context: Context) -> list[str]:
 
 def _sizes(answer: Verdict, simulator: Simulator) -> str:
     """Where they differ most, and the sizes of what is missing."""
-    where = [f"most in {one.channel} {when(one, simulator)}" for one in answer.mismatch[:1]]
     found = answer.explanations[0] if answer.explanations else None
     sizes = {name: e for effect in answer.effects for name, e in found.of(effect).items()} if found else {}
     values = [quantity(name, e) + in_the_car(name, e, simulator.nominal) for name, e in sizes.items()]
     spelled = "; ".join(values[:IN_LINE]) + (f"; and {len(values) - IN_LINE} more" if len(values) > IN_LINE else "")
     acting = [f"{one}." for one in found.acting] if found else []
     size = [f"{spelled}."] if spelled else []
-    differ = f"They differ {where[0]} ({spoken_p(answer.p_value)})." if where else ""
-    return " ".join([differ, *size, *acting]).strip()
+    return " ".join([_differ(answer, simulator), *size, *acting])
+
+
+def _differ(answer: Verdict, simulator: Simulator) -> str:
+    """Where they differ most, or that they do as a whole."""
+    most = [f"most in {one.channel} {when(one, simulator)} ({spoken_p(answer.p_value)})" for one in answer.mismatch[:1]]
+    return f"They differ {most[0] if most else as_a_whole(answer)}."
+
+
+def as_a_whole(answer: Verdict) -> str:
+    """That a mismatch is detected, and that it shows in no one place more than noise does anywhere."""
+    return f"as a whole ({spoken_p(answer.p_value)}), but no single stretch of time or signal stands out"
 
 
 def when(place: Place, simulator: Simulator) -> str:

@@ -7,7 +7,7 @@ import pandas as pd
 
 from vehicle_sbi.mismatch.answer.schema import Verdict, listed
 from vehicle_sbi.mismatch.answer.verdict import Found
-from vehicle_sbi.mismatch.answer.wording import in_the_car, spoken_p, when
+from vehicle_sbi.mismatch.answer.wording import as_a_whole, in_the_car, spoken_p, when
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, quantity
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.hypotheses.block import throughout
@@ -252,7 +252,7 @@ def _unknown(answer: Verdict) -> Part:
 
 def _where(answer: Verdict, found: Found) -> Part:
     if not answer.mismatch:
-        return Words(["Nowhere beyond noise."])
+        return Words([f"They differ {as_a_whole(answer)}." if answer.detected else "Nowhere beyond noise."])
     frame = pd.DataFrame(
         {
             "channel": [p.channel for p in answer.mismatch],
