@@ -13,9 +13,10 @@ from pages import HOSTILE, diagnosis_page, run_page
 from test_report import PNG, finished_run, table
 
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.mismatch.answer.wording import as_a_whole
+from vehicle_sbi.mismatch.answer.schema import Unknown
+from vehicle_sbi.mismatch.answer.wording import TOO_SMALL, as_a_whole
 from vehicle_sbi.report.page import parts
-from vehicle_sbi.report.page.diagnosis import _where
+from vehicle_sbi.report.page.diagnosis import _unknown, _where
 from vehicle_sbi.report.page.index import BROKEN, CALIBRATION, COMPLETE, DIAGNOSIS, RUN, UNFINISHED, rows, write_index
 from vehicle_sbi.report.page.page import Page, write_page
 from vehicle_sbi.report.page.parts import Listed, Picture, Section, Table, Words
@@ -91,6 +92,15 @@ def test_a_page_never_denies_a_mismatch_that_it_names() -> None:
     assert _where(answer, found) == Words([f"They differ {as_a_whole(answer)}."])
     answer.detected = False
     assert _where(answer, found) == Words(["Nowhere beyond noise."])
+
+
+def test_a_page_has_no_table_without_rows_of_what_no_effect_explains() -> None:
+    beyond_prior_alone = Unknown((), [], [], None)
+    for unknown, p_unknown, said in (
+        (None, 0.1, "Nothing beyond noise."), (None, 0.6, TOO_SMALL), (beyond_prior_alone, 0.6, TOO_SMALL),
+    ):  # fmt: skip
+        answer: Any = SimpleNamespace(unknown=unknown, p_unknown=p_unknown)
+        assert _unknown(answer) == Words([said])
 
 
 def test_the_page_of_a_run_says_what_was_told_and_what_was_not(run: tuple[Page, str]) -> None:

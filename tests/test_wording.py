@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 from cars import PAPER
 
-from vehicle_sbi.mismatch.answer.wording import _unlike_headline, in_the_car, spoken_p
+from vehicle_sbi.mismatch.answer.schema import Outgrown, Unknown
+from vehicle_sbi.mismatch.answer.wording import TOO_SMALL, _left, _shown, _unlike_headline, in_the_car, spoken_p
 from vehicle_sbi.mismatch.estimation.estimate import Estimate
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.selection.score_test import DRAWS
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, nominal_record
 from vehicle_sbi.words import enumerated
+
+HALF = Estimate(0.5, 0.1, 0.4, 0.6, "1")
 
 
 @pytest.mark.parametrize(
@@ -28,13 +31,13 @@ def test_a_p_value_that_no_draw_of_noise_reaches_is_a_bound() -> None:
 
 
 def test_a_factor_is_said_of_what_the_vehicle_file_states() -> None:
-    half, nominal = Estimate(0.5, 0.1, 0.4, 0.6, "1"), nominal_record(PAPER)
+    nominal = nominal_record(PAPER)
     assert (
-        in_the_car("friction_level.factor", half, nominal) == f" (mu {0.5 * nominal['mu']:.3g}, stated {PAPER.mu:.3g})"
+        in_the_car("friction_level.factor", HALF, nominal) == f" (mu {0.5 * nominal['mu']:.3g}, stated {PAPER.mu:.3g})"
     )
-    assert in_the_car("payload.mass", half, nominal) == f" (beside m {PAPER.m:.4g})"
-    assert in_the_car("yaw_inertia.factor", half, nominal) == ""  # this file states none
-    assert in_the_car("steering_ratio.gain", half, nominal) == ""
+    assert in_the_car("payload.mass", HALF, nominal) == f" (beside m {PAPER.m:.4g})"
+    assert in_the_car("yaw_inertia.factor", HALF, nominal) == ""  # this file states none
+    assert in_the_car("steering_ratio.gain", HALF, nominal) == ""
 
 
 def test_what_the_extended_model_has_beside_the_headline_and_lacks_of_it() -> None:
@@ -45,6 +48,15 @@ def test_what_the_extended_model_has_beside_the_headline_and_lacks_of_it() -> No
     assert _unlike_headline(answer) == " (with gust, without relaxation)"
     answer.effects = {"body_roll": 0.9, "gust": 0.7, "relaxation": 0.1}
     assert _unlike_headline(answer) == ""
+
+
+@pytest.mark.parametrize(("p_unknown", "said"), [(0.52, TOO_SMALL), (0.4, "")])
+def test_something_unknown_that_no_force_or_sensor_shows_has_its_line(p_unknown: float, said: str) -> None:
+    answer: Any = SimpleNamespace(unknown=None, p_unknown=p_unknown)
+    assert _left(answer) == said
+    answer.unknown = Unknown((), [], [Outgrown({"mu": HALF}, {"mu": (0.3, 1.2)}, (), 0.6)], None)
+    assert [*_shown(answer)] == [said] * bool(said)
+    assert "mu would leave the prior" in _left(answer)
 
 
 def test_an_effect_is_there_if_any_of_its_sizes_is_and_a_profile_as_a_whole() -> None:

@@ -26,6 +26,7 @@ PARAMETERS = 3  # that are said to have moved at most
 HARDLY_COVERED = 0.75  # share of the 90 % band, below which what was held out is not what the model predicts
 EXAMPLES = 3  # effects that are named of those that would have shown
 FOLLOWS = 0.5  # share of a course that a signal explains, from which it is said to follow it
+TOO_SMALL = "Left over: something unknown, too small to tell which force or sensor it is."
 
 FACTORS = {  # parameters that multiply what a vehicle file states: fields of its record
     "friction_level.factor": "mu",
@@ -100,7 +101,7 @@ def lines(answer: Verdict, context: Context) -> list[str]:
             _sizes(answer, context.simulator),
             _moved(answer),
             _alike(answer),
-            _left(answer.unknown),
+            _left(answer),
             _proof(answer, trusted=context.trusted),
         ]
     return [line for line in said if line]
@@ -169,15 +170,21 @@ def _alike(answer: Verdict) -> str:
     return " ".join([*said, answer.separating_experiment]).strip()
 
 
-def _left(unknown: Unknown | None) -> str:
-    """The load or error that no effect stands for, as far as it shows."""
-    if unknown is None or unknown.over_time is None:
-        return "".join(_at_bounds(unknown))
-    law, over = unknown.laws[0], unknown.over_time
+def _left(answer: Verdict) -> str:
+    """What no effect stands for, as far as it shows, and parameters that would leave their priors."""
+    return " ".join([*_shown(answer), *_at_bounds(answer.unknown)])
+
+
+def _shown(answer: Verdict) -> Iterator[str]:
+    """The load or error that no effect stands for, or that there is one which is too small to be located."""
+    if answer.unknown is None or answer.unknown.over_time is None:
+        yield from [TOO_SMALL] if answer.p_unknown > NAMED else []
+        return
+    law, over = answer.unknown.laws[0], answer.unknown.over_time
     follows = f", which follows {law.signal}" if law.share >= FOLLOWS else ""
     size = quantity("", law.size).removeprefix(" = ")
     most = f", most {spoken(over.within)}" if over.within else ""
-    return " ".join([f"Left over: {law.target} of {size} (root mean square){follows}{most}.", *_at_bounds(unknown)])
+    yield f"Left over: {law.target} of {size} (root mean square){follows}{most}."
 
 
 def _at_bounds(unknown: Unknown | None) -> list[str]:

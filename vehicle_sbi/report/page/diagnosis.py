@@ -7,7 +7,7 @@ import pandas as pd
 
 from vehicle_sbi.mismatch.answer.schema import Verdict, listed
 from vehicle_sbi.mismatch.answer.verdict import Found
-from vehicle_sbi.mismatch.answer.wording import as_a_whole, in_the_car, spoken_p, when
+from vehicle_sbi.mismatch.answer.wording import NAMED, TOO_SMALL, as_a_whole, in_the_car, spoken_p, when
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, quantity
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.hypotheses.block import throughout
@@ -237,9 +237,9 @@ def _sets(answer: Verdict) -> pd.DataFrame:
 
 def _unknown(answer: Verdict) -> Part:
     """Loads and errors beside the effects, if there are any."""
-    if answer.unknown is None:
-        return Words(["Nothing beyond noise."])
-    laws = answer.unknown.laws
+    laws = answer.unknown.laws if answer.unknown else []
+    if not laws:
+        return Words([TOO_SMALL if answer.p_unknown > NAMED else "Nothing beyond noise."])
     frame = pd.DataFrame(
         {
             "what": [law.target for law in laws],
