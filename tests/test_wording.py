@@ -1,14 +1,16 @@
 """What is said of numbers and lists: closed forms."""
 
+import re
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from cars import PAPER
 
 from vehicle_sbi.mismatch.answer.schema import Outgrown, Unknown
-from vehicle_sbi.mismatch.answer.wording import TOO_SMALL, _left, _shown, _unlike_headline, in_the_car, spoken_p
+from vehicle_sbi.mismatch.answer.wording import TOO_SMALL, _left, _shown, _unlike_headline, in_the_car, spoken_p, widen
 from vehicle_sbi.mismatch.estimation.estimate import Estimate
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.selection.score_test import DRAWS
@@ -57,6 +59,20 @@ def test_something_unknown_that_no_force_or_sensor_shows_has_its_line(p_unknown:
     answer.unknown = Unknown((), [], [Outgrown({"mu": HALF}, {"mu": (0.3, 1.2)}, (), 0.6)], None)
     assert [*_shown(answer)] == [said] * bool(said)
     assert "mu would leave the prior" in _left(answer)
+
+
+def test_a_parameter_at_a_bound_comes_with_the_words_that_widen_its_box() -> None:
+    found = [("mu", (0.3, 1.2), 1.19), ("C_alpha_r", (5e4, 5e5), 5.1e4), ("steering_offset.angle", (-0.02, 0.04), 0.0)]
+    said = widen(found)
+    assert "'+prior.mu=[0.3,1.5]'" in said
+    assert "'+prior.C_alpha_r=[25000,500000]'" in said  # half of it, as it cannot be negative
+    assert "'+prior.steering_offset.angle=[-0.04,0.04]'" in said
+    for word in re.findall(r"'([^']*)'", said):
+        name, _, box = word.removeprefix("+prior.").partition("=")
+        low, high = yaml.safe_load(box)
+        at, box_before = next((at, before) for one, before, at in found if one == name)
+        assert low <= box_before[0] < at < box_before[1] <= high
+        assert high - low > box_before[1] - box_before[0]
 
 
 def test_an_effect_is_there_if_any_of_its_sizes_is_and_a_profile_as_a_whole() -> None:

@@ -1,6 +1,5 @@
 """What a diagnosis found, put into the answer's form."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
@@ -20,7 +19,7 @@ from vehicle_sbi.mismatch.answer.schema import (
     Verdict,
     Visible,
 )
-from vehicle_sbi.mismatch.answer.wording import NAMED, Context, headline, lines
+from vehicle_sbi.mismatch.answer.wording import NAMED, Context, headline, lines, widen
 from vehicle_sbi.mismatch.design.experiment import advice
 from vehicle_sbi.mismatch.design.identifiability import Card
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, drawn
@@ -109,7 +108,7 @@ def verdict(case: Case, found: Found) -> Verdict:
         notes=[*warnings, *_unpredicted(found), *case.notes],
         sentence="",
     )
-    trusted = found.fit_check.trusted and not _cornered(_rim(found.base, "base"), "base")
+    trusted = found.fit_check.trusted and not _cornered(found.base, "base")
     return _in_words(answer, found, trusted=trusted)
 
 
@@ -220,9 +219,9 @@ def _outgrown(pruned: Pruned, effects: tuple[str, ...]) -> list[Outgrown]:
 def _warnings(found: Found) -> list[str]:
     """Why the base model's fit may not be relied on."""
     models = {"base": found.base} | ({"extended": found.extended.model} if found.extended.model.effects else {})
-    on_rims = {called: _rim(one, called) for called, one in models.items()}
-    cornered = [line for called, said in on_rims.items() for line in _cornered(said, called)]
-    return [*cornered, *found.fit_check.notes, *itertools.chain(*on_rims.values()), *_misfit(found.base.fit)]
+    cornered = [line for called, one in models.items() for line in _cornered(one, called)]
+    on_rims = [line for called, one in models.items() for line in _rim(one, called)]
+    return [*cornered, *found.fit_check.notes, *on_rims, *_misfit(found.base.fit)]
 
 
 def _unpredicted(found: Found) -> list[str]:
@@ -236,14 +235,19 @@ def _score(prediction: Prediction) -> Score:
     return Score(prediction.nrmse, prediction.mean_crps, prediction.mean_log_score, prediction.coverage90)
 
 
-def _rim(model: Model, called: str) -> list[str]:
-    """Base parameters that want to leave their box: what is missing may hide in them."""
+def _on_rims(model: Model) -> list[tuple[Parameter, float]]:
+    """Base parameters that want to leave their box, and where in it they are: what is missing may hide in them."""
     fit = model.fit
     off = ~fit.inside & ~model.own
+    rows = zip(fit.simulator.space.parameters, fit.theta, off, strict=True)
+    return [(p, float(x)) for p, x, out in rows if out]
+
+
+def _rim(model: Model, called: str) -> list[str]:
+    """What is said of each of them."""
     return [
         f"{p.name}: the {called} model fits best at {_nearer(p, x)}, a bound of its prior: a mismatch may hide there."
-        for p, x, out in zip(fit.simulator.space.parameters, fit.theta, off, strict=True)
-        if out
+        for p, x in _on_rims(model)
     ]
 
 
@@ -252,13 +256,14 @@ def _nearer(p: Parameter, x: float) -> str:
     return f"{p.low if x - p.low < p.high - x else p.high:.4g} {p.unit}".removesuffix(" 1")
 
 
-def _cornered(on_rims: Sequence[str], called: str) -> list[str]:
+def _cornered(model: Model, called: str) -> list[str]:
     """What is said first of a model that ends on several rims."""
-    if len(on_rims) < CORNERED:
+    at_bounds = [(p.name, (p.low, p.high), x) for p, x in _on_rims(model)]
+    if len(at_bounds) < CORNERED:
         return []
     return [
-        f"The {called} model's best fit is at bounds of {len(on_rims)} priors at once: what is missing hides in its "
-        "parameters, and the named effects are uncertain. Widen these priors, or fix what was measured."
+        f"The {called} model's best fit is at bounds of {len(at_bounds)} priors at once: what is missing hides in its "
+        f"parameters, and the named effects are uncertain. {widen(at_bounds)}"
     ]
 
 

@@ -8,14 +8,14 @@ import numpy as np
 
 from vehicle_sbi.inference.directions import null
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch.answer.schema import Unknown, Verdict
+from vehicle_sbi.mismatch.answer.schema import Outgrown, Unknown, Verdict
 from vehicle_sbi.mismatch.design.identifiability import Candidate, Card
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, quantity
 from vehicle_sbi.mismatch.hypotheses.block import spoken, throughout
 from vehicle_sbi.mismatch.selection.detection import Place
 from vehicle_sbi.mismatch.selection.predictive import Prediction
 from vehicle_sbi.mismatch.selection.score_test import DRAWS
-from vehicle_sbi.rounding import mean_and_std
+from vehicle_sbi.rounding import mean_and_std, rounded
 from vehicle_sbi.words import enumerated
 
 NAMED = 0.5  # probability from which an effect is named
@@ -26,6 +26,7 @@ PARAMETERS = 3  # that are said to have moved at most
 HARDLY_COVERED = 0.75  # share of the 90 % band, below which what was held out is not what the model predicts
 EXAMPLES = 3  # effects that are named of those that would have shown
 FOLLOWS = 0.5  # share of a course that a signal explains, from which it is said to follow it
+LONGER = 1 / 3  # of its width, by which a box that is too narrow is to reach further
 TOO_SMALL = "Left over: something unknown, too small to tell which force or sensor it is."
 
 FACTORS = {  # parameters that multiply what a vehicle file states: fields of its record
@@ -188,8 +189,31 @@ def _shown(answer: Verdict) -> Iterator[str]:
 
 
 def _at_bounds(unknown: Unknown | None) -> list[str]:
-    names = [name for one in (unknown.beyond_prior if unknown else ()) for name in one.parameters]
-    return [f"{enumerated(names)} would leave the prior: it is too narrow, or more is missing."] if names else []
+    found = [(name, one.prior[name], e.mean) for one in _outgrown(unknown) for name, e in one.parameters.items()]
+    if not found:
+        return []
+    names = enumerated([name for name, _, _ in found])
+    return [f"{names} would leave the prior: it is too narrow, or more is missing. {widen(found)}"]
+
+
+def _outgrown(unknown: Unknown | None) -> Sequence[Outgrown]:
+    return unknown.beyond_prior if unknown else ()
+
+
+def widen(at_bounds: Sequence[tuple[str, tuple[float, float], float]]) -> str:
+    """What to do about parameters that are at bounds: their names, their boxes, and where in them they are."""
+    words = " ".join(f"'+prior.{name}=[{low:g},{high:g}]'" for name, (low, high) in map(_longer, at_bounds))
+    return f"Repeat with wider priors, {words}, or state what was measured in the vehicle file."
+
+
+def _longer(one: tuple[str, tuple[float, float], float]) -> tuple[str, tuple[float, float]]:
+    """A box that reaches further at the bound that is nearer; what cannot be negative stays so."""
+    name, (low, high), at = one
+    more = LONGER * (high - low)
+    if high - at < at - low:
+        return name, (low, float(rounded(high + more, more)))
+    least = max(low - more, 0.5 * low) if low >= 0.0 else low - more
+    return name, (float(rounded(least, low - least)), high)
 
 
 def _proof(answer: Verdict, *, trusted: bool) -> str:
