@@ -9,8 +9,18 @@ import pytest
 import yaml
 from cars import PAPER
 
-from vehicle_sbi.mismatch.answer.schema import Outgrown, Unknown
-from vehicle_sbi.mismatch.answer.wording import TOO_SMALL, _left, _shown, _unlike_headline, in_the_car, spoken_p, widen
+from vehicle_sbi.mismatch.answer.schema import Named, Outgrown, Unknown
+from vehicle_sbi.mismatch.answer.wording import (
+    NAMED,
+    TOO_SMALL,
+    _left,
+    _proof,
+    _shown,
+    _unlike_headline,
+    in_the_car,
+    spoken_p,
+    widen,
+)
 from vehicle_sbi.mismatch.estimation.estimate import Estimate
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.selection.score_test import DRAWS
@@ -50,6 +60,16 @@ def test_what_the_extended_model_has_beside_the_headline_and_lacks_of_it() -> No
     assert _unlike_headline(answer) == " (with gust, without relaxation)"
     answer.effects = {"body_roll": 0.9, "gust": 0.7, "relaxation": 0.1}
     assert _unlike_headline(answer) == ""
+
+
+@pytest.mark.parametrize("probability", [0.01, 0.6])
+def test_an_extended_model_whose_set_is_one_of_many_comes_with_its_probability(probability: float) -> None:
+    answer: Any = SimpleNamespace(
+        explanations=[Named(("gust",), probability, 0.006, {}, {})], effects={"gust": 0.9},
+        fit={"accepted": True, "accepted_because": "it gains"},
+    )  # fmt: skip
+    said = _proof(answer, trusted=True)
+    assert ("the likeliest of many (probability 0.016)" in said) == (probability < NAMED)
 
 
 @pytest.mark.parametrize(("p_unknown", "said"), [(0.52, TOO_SMALL), (0.4, "")])

@@ -225,7 +225,16 @@ def _proof(answer: Verdict, *, trusted: bool) -> str:
         f"On held-out data the extended model{_unlike_headline(answer)} is {verdict}: {answer.fit['accepted_because']}."
     )
     doubt = " It may predict well, but its parameters are uncertain until the warnings are resolved."
-    return said + (doubt if answer.fit["accepted"] and not trusted else "")
+    return said + _one_of_many(answer) + (doubt if answer.fit["accepted"] and not trusted else "")
+
+
+def _one_of_many(answer: Verdict) -> str:
+    """How probable the extended model's set of effects is, where others together are likelier."""
+    likeliest = answer.explanations[0]
+    probability = likeliest.probability + likeliest.beside_unknown
+    if probability > NAMED:
+        return ""
+    return f" Its set of effects is the likeliest of many (probability {probability:.2g})."
 
 
 def _unlike_headline(answer: Verdict) -> str:
