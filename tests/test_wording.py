@@ -16,6 +16,7 @@ from vehicle_sbi.mismatch.answer.wording import (
     _left,
     _proof,
     _shown,
+    _sizes,
     _unlike_headline,
     in_the_car,
     spoken_p,
@@ -50,6 +51,25 @@ def test_a_factor_is_said_of_what_the_vehicle_file_states() -> None:
     assert in_the_car("payload.mass", HALF, nominal) == f" (beside m {PAPER.m:.4g})"
     assert in_the_car("yaw_inertia.factor", HALF, nominal) == ""  # this file states none
     assert in_the_car("steering_ratio.gain", HALF, nominal) == ""
+
+
+def test_of_each_effect_the_size_that_is_most_certain_is_said_before_any_other() -> None:
+    sizes = {
+        "relaxation.front": Estimate(0.2, 0.1, 0.0, 0.4, "m"),
+        "relaxation.rear": Estimate(0.5, 0.1, 0.3, 0.7, "m"),
+        "imu_lever_arm.x": Estimate(0.5, 0.1, 0.3, 0.7, "m"),
+        **{f"friction_level.{one}": Estimate(1.0, 0.1, 0.9, 1.1, "1") for one in ("factor", "rear")},
+        **{f"stiffness_level.{one}": Estimate(1.1, 0.1, 1.0, 1.3, "1") for one in ("factor", "front", "rear")},
+    }
+    effects = dict.fromkeys(("relaxation", "imu_lever_arm", "friction_level", "stiffness_level"), 0.9)
+    simulator: Any = SimpleNamespace(nominal=nominal_record(PAPER))
+    answer: Any = SimpleNamespace(
+        explanations=[Named(tuple(effects), 0.9, 0.0, sizes, {})], effects=effects, mismatch=[], p_value=0.008
+    )
+    said = _sizes(answer, simulator)
+    main = said[said.index("relaxation.rear") :].split("; ")
+    assert [one.split(" ")[0].split(".")[0] for one in main[:4]] == [*effects]
+    assert main[-1] == "and 3 more."
 
 
 def test_what_the_extended_model_has_beside_the_headline_and_lacks_of_it() -> None:

@@ -1,5 +1,6 @@
 """The answer in words: a headline of at most 25 words, and at most five lines after it."""
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,7 @@ from vehicle_sbi.mismatch.hypotheses.block import spoken, throughout
 from vehicle_sbi.mismatch.selection.detection import Place
 from vehicle_sbi.mismatch.selection.predictive import Prediction
 from vehicle_sbi.mismatch.selection.score_test import DRAWS
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 from vehicle_sbi.rounding import mean_and_std, rounded
 from vehicle_sbi.words import enumerated
 
@@ -109,14 +111,26 @@ def lines(answer: Verdict, context: Context) -> list[str]:
 
 
 def _sizes(answer: Verdict, simulator: Simulator) -> str:
-    """Where they differ most, and the sizes of what is missing."""
+    """Where they differ most, and the sizes of what is missing: of each effect the main one before any other."""
     found = answer.explanations[0] if answer.explanations else None
-    sizes = {name: e for effect in answer.effects for name, e in found.of(effect).items()} if found else {}
-    values = [quantity(name, e) + in_the_car(name, e, simulator.nominal) for name, e in sizes.items()]
+    by_effect = [_main_first(found.of(effect)) for effect in answer.effects] if found else []
+    ranks = itertools.zip_longest(*by_effect)
+    sizes = [one for rank in ranks for one in rank if one is not None]
+    values = [quantity(name, e) + in_the_car(name, e, simulator.nominal) for name, e in sizes]
     spelled = "; ".join(values[:IN_LINE]) + (f"; and {len(values) - IN_LINE} more" if len(values) > IN_LINE else "")
     acting = [f"{one}." for one in found.acting] if found else []
     size = [f"{spelled}."] if spelled else []
     return " ".join([_differ(answer, simulator), *size, *acting])
+
+
+def _main_first(sizes: Mapping[str, Estimate]) -> list[tuple[str, Estimate]]:
+    """The sizes of an effect, the one that is most of its standard deviations off its null first."""
+
+    def certain(one: tuple[str, Estimate]) -> float:
+        name, e = one
+        return abs(e.mean - null(EFFECT_PARAMETERS[name])) / max(e.std, 1e-300)
+
+    return sorted(sizes.items(), key=certain, reverse=True)
 
 
 def _differ(answer: Verdict, simulator: Simulator) -> str:
