@@ -151,6 +151,18 @@ def test_a_part_of_an_effect_is_inferred_alone(run: Path) -> None:
     assert space == ParameterSpace(part)
 
 
+def test_no_path_of_the_extended_model_depends_on_the_folder_that_it_is_read_in(run: Path) -> None:
+    config = yaml.safe_load((run / ".hydra" / "config.yaml").read_text())
+    model = read(run / "stages" / "extended.npz", Extended).model
+    files = {"path": "a.blf", "mapping": "a.mapping.yaml", "dbc": "a.dbc"}
+    one = config["recording"] | files
+    recording = yaml.safe_load(extended(model, config | {"recordings": [one]}))["recording"]
+    assert {key: recording[key] for key in files} == {key: str(Path(file).absolute()) for key, file in files.items()}
+    spelled_out = {"a_y": {"column": "a"}}
+    recording = yaml.safe_load(extended(model, config | {"recordings": [one | {"mapping": spelled_out}]}))["recording"]
+    assert recording["mapping"] == spelled_out
+
+
 def test_what_the_recordings_could_have_shown_is_in_the_verdict_and_on_the_page(run: Path) -> None:
     verdict, page = json.loads((run / "verdict.json").read_text()), (run / "report.html").read_text()
     shown, hidden, idle = verdict["could_show"], verdict["invisible"], verdict["cannot_act"]

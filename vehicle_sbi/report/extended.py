@@ -15,6 +15,7 @@ from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 
 STATED = ("vehicle", "prior", "recording", "noise")
+FILES = ("path", "mapping", "dbc")  # keys whose text is a path
 HEAD = """\
 # @package _global_
 # The extended model of a diagnosis: copy to FOLDER/experiment/NAME.yaml, then:
@@ -70,7 +71,12 @@ def _from_anywhere(node: Any) -> Any:
         return [_from_anywhere(one) for one in node]
     if not isinstance(node, Mapping):
         return node
-    return {key: os.path.abspath(value) if key == "path" else _from_anywhere(value) for key, value in node.items()}
+    return {key: _absolute(value) if key in FILES else _from_anywhere(value) for key, value in node.items()}
+
+
+def _absolute(value: Any) -> Any:
+    """A path made absolute; what is in the place of one (a mapping spelled out, or none) stays."""
+    return os.path.abspath(value) if isinstance(value, str) else _from_anywhere(value)
 
 
 def _prior(space: ParameterSpace, effects: Sequence[str]) -> dict[str, Any]:
