@@ -437,6 +437,18 @@ def test_a_value_on_the_edge_of_its_prior_is_said_to_be_a_limit(tmp_path: Path) 
     assert "EDGE" not in line_of(text, "cf:")
 
 
+@pytest.mark.parametrize(("std", "said"), [(0.03, True), (0.001, False)])
+def test_a_delay_near_zero_may_be_none_and_its_prior_cannot_be_wider(tmp_path: Path, std: float, said: bool) -> None:
+    found = diagnosis_of(tmp_path, explanations=[
+        {"effects": ["steering_delay"], "probability": 0.7,
+         "parameters": {"steering_delay.time": numbers(0.02, std, "s")}},
+    ])  # fmt: skip
+    assert found["effects"]["steering_delay"] == 0.8
+    line = line_of(texts(tmp_path, "autoware")["mpc.param.yaml"], "input_delay:")
+    assert ("COMPATIBLE WITH NO EFFECT: steering_delay.time" in line) == said
+    assert "EDGE" not in line
+
+
 def test_what_no_effect_stands_for_is_told_as_a_size(tmp_path: Path) -> None:
     law = {"target": "force along y", "size": numbers(210.0, 20.0, "N")}
     diagnosis_of(tmp_path / "diagnosis", unknown={"laws": [law], "beyond_prior": []})

@@ -14,8 +14,10 @@ import pandas as pd
 import pytest
 
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.prior import KNOWN
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.report import figures, tables
+from vehicle_sbi.report.results import table_warnings
 from vehicle_sbi.report.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -60,6 +62,29 @@ def test_the_table_is_what_numpy_says() -> None:
     )
     np.testing.assert_array_equal(found["std"], drawn.std(axis=0, ddof=1))
     np.testing.assert_array_equal(found["true"], TRUE)
+
+
+def row_of(p: Parameter, mean: float, std: float) -> pd.DataFrame:
+    """The table of one parameter whose posterior is normal."""
+    space = ParameterSpace((p,))
+    drawn = np.clip(np.random.default_rng(0).normal(mean, std, (2000, 1)), p.low, p.high)
+    return tables.posterior_table(space, drawn, bound_std=np.array([std]))
+
+
+@pytest.mark.parametrize(
+    ("name", "mean", "std", "said"),
+    [
+        ("steering_lag.time", 0.04, 0.028, ["steering_lag.time is compatible with 0"]),
+        ("steering_lag.time", 0.04, 0.001, []),  # 4 % of the prior's width, and sure
+        ("steering_lag.time", 0.99, 0.001, ["steering_lag.time lies on the edge of its prior"]),
+        ("mu", 0.31, 0.005, ["mu lies on the edge of its prior"]),
+    ],
+)
+def test_an_edge_of_a_prior_is_none_where_an_effect_vanishes(
+    name: str, mean: float, std: float, said: list[str]
+) -> None:
+    warnings = table_warnings(row_of(KNOWN[name], mean, std), ParameterSpace((KNOWN[name],)))
+    assert [line[: len(start)] for line, start in zip(warnings, said, strict=True)] == said
 
 
 def test_the_prior_contracts_by_nothing() -> None:

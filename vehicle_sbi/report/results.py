@@ -25,7 +25,7 @@ from vehicle_sbi.report.figures import predictive as predictive_figure
 from vehicle_sbi.report.page.page import write_page
 from vehicle_sbi.report.page.run import page_of
 from vehicle_sbi.report.run_folder import RunFolder
-from vehicle_sbi.report.tables import nominal_table, on_edge, posterior_table, terminal, write_tables
+from vehicle_sbi.report.tables import maybe_none, nominal_table, on_edge, posterior_table, terminal, write_tables
 from vehicle_sbi.rng import Stream, seed_torch
 from vehicle_sbi.rounding import mean_and_std
 
@@ -212,16 +212,23 @@ def round_warnings(inference: Inference, table: pd.DataFrame, space: ParameterSp
             f"The last two rounds disagree: the mean moved of {', '.join(moved)} standard deviations of the round "
             "before. Use more simulations a round, and look for what the model lacks."
         )
-    for row in table.to_dict("records"):
-        name, width = row["parameter"], row["prior_high"] - row["prior_low"]
-        if not row["identified"] and row["bound_std"] < LEARNABLE * width:
+    return [*warnings, *table_warnings(table, space)]
+
+
+def table_warnings(table: pd.DataFrame, space: ParameterSpace) -> list[str]:
+    """Of each parameter what its row alone warns of."""
+    warnings = list[str]()
+    for p, row in zip(space.parameters, table.to_dict("records"), strict=True):
+        if not row["identified"] and row["bound_std"] < LEARNABLE * (p.high - p.low):
             warnings.append(
-                f"{name}: the recording tells it to {row['bound_std']:.2g} {row['unit']}, but this run has not learned "
+                f"{p.name}: the recording tells it to {row['bound_std']:.2g} {p.unit}, but this run has not learned "
                 "it; it needs more simulations or other features."
             )
-        if row["identified"] and on_edge(row["q50"], row["prior_low"], row["prior_high"]):
+        if row["identified"] and on_edge(row["q50"], p.low, p.high, p.null):
             warnings.append(
-                f"{name} lies on the edge of its prior: widen the prior, or look for physics that the model lacks and "
-                "this parameter makes up for."
+                f"{p.name} lies on the edge of its prior: widen the prior, or look for physics that the model lacks "
+                "and this parameter makes up for."
             )
+        if row["identified"] and maybe_none(row["mean"], row["std"], p.low, p.high, p.null):
+            warnings.append(f"{p.name} is compatible with {p.null:g}, that is, with no effect.")
     return warnings

@@ -33,6 +33,7 @@ NOT_IDENTIFIED = "not identified by this recording"
 # estimator that is merely a little too narrow does not either.
 IDENTIFIED_CONTRACTION = 0.25
 EDGE = 0.05  # of the prior's width, within which a median counts as lying on its edge
+CERTAIN = 2.0  # standard deviations off its null, from which a size that cannot cross it is something
 SCREEN_WIDTH = 110
 LEGEND = (
     "bound: Cramér-Rao bound of the standard deviation, which knows no prior: where that helps, a posterior may be "
@@ -42,9 +43,18 @@ LEGEND = (
 _GREEK = ("alpha", "beta", "gamma", "delta", "kappa", "lambda", "mu", "omega", "psi", "rho", "sigma", "tau", "zeta")
 
 
-def on_edge(value: float, low: float, high: float) -> bool:
-    """Whether a posterior's middle lies on the edge of a prior from low to high."""
-    return min(value - low, high - value) < EDGE * (high - low)
+def on_edge(value: float, low: float, high: float, null: float | None) -> bool:
+    """Whether a posterior's middle lies on an edge of a prior from low to high that could be wider.
+
+    A bound at `null`, where an effect vanishes, could not: there is no negative delay.
+    """
+    margin = EDGE * (high - low)
+    return (value - low < margin and low != null) or (high - value < margin and high != null)
+
+
+def maybe_none(mean: float, std: float, low: float, high: float, null: float | None) -> bool:
+    """Whether a size that has one side of its null alone may as well be nothing."""
+    return null is not None and null in (low, high) and abs(mean - null) < CERTAIN * std
 
 
 def posterior_table(

@@ -22,7 +22,7 @@ from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.export.exported import Exported, Inferred
 from vehicle_sbi.report.run_folder import FinishedRun
 from vehicle_sbi.report.run_folder import read as read_run
-from vehicle_sbi.report.tables import IDENTIFIED_CONTRACTION, on_edge, read_table
+from vehicle_sbi.report.tables import IDENTIFIED_CONTRACTION, maybe_none, on_edge, read_table
 from vehicle_sbi.words import enumerated
 
 UNCHECKED = (
@@ -69,10 +69,11 @@ def _table(file: Path) -> pd.DataFrame:
 def _rows(table: pd.DataFrame) -> Iterator[tuple[str, Inferred]]:
     """Each parameter of a run's table."""
     for row in table.to_dict("records"):
-        estimate = _estimate(row, str(row["unit"]), f"table.csv: {row['parameter']}")
+        name = str(row["parameter"])
+        estimate = _estimate(row, str(row["unit"]), f"table.csv: {name}")
         identified = str(row["identified"]).strip().lower() == "true"
         box = (float(row["prior_low"]), float(row["prior_high"]))
-        yield str(row["parameter"]), _inferred(estimate, box, identified=identified and _finite(estimate))
+        yield name, _inferred(name, estimate, box, identified=identified and _finite(estimate))
 
 
 def _correlation(file: Path, names: list[str]) -> pd.DataFrame | None:
@@ -148,7 +149,7 @@ def _base(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]]) 
     for name, one in verdict["base_parameters"].items():
         estimate = _estimate(one["after"], one["unit"], f"verdict.json: {name}")
         box = boxes.get(name)
-        yield name, _inferred(estimate, box, identified=_narrower(estimate, box))
+        yield name, _inferred(name, estimate, box, identified=_narrower(estimate, box))
 
 
 def _effects(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]]) -> Iterator[tuple[str, Inferred]]:
@@ -159,14 +160,25 @@ def _effects(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]
         if probability > NAMED:
             estimate = _estimate(e, e["unit"], f"verdict.json: {name}")
             box = boxes.get(name)
-            yield name, _inferred(estimate, box, identified=_narrower(estimate, box), probability=probability)
+            yield name, _inferred(name, estimate, box, identified=_narrower(estimate, box), probability=probability)
 
 
 def _inferred(
-    estimate: Estimate, box: tuple[float, float] | None, *, identified: bool, probability: float | None = None
+    name: str,
+    estimate: Estimate,
+    box: tuple[float, float] | None,
+    *,
+    identified: bool,
+    probability: float | None = None,
 ) -> Inferred:
-    edge = box is not None and on_edge(estimate.mean, *box)
-    return Inferred(estimate=estimate, identified=identified, on_edge=edge, probability=probability)
+    null = KNOWN[name].null if name in KNOWN else None
+    return Inferred(
+        estimate=estimate,
+        identified=identified,
+        on_edge=box is not None and on_edge(estimate.mean, *box, null),
+        maybe_none=box is not None and maybe_none(estimate.mean, estimate.std, *box, null),
+        probability=probability,
+    )
 
 
 def _narrower(estimate: Estimate, box: tuple[float, float] | None) -> bool:
