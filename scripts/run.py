@@ -24,7 +24,7 @@ def main(cfg: DictConfig) -> None:
         if not folder.finished:
             if not folder.checkpoints.kept(file_of(0)):
                 with folder.stage("first answer"):
-                    print(first_answer(prepared.problem), flush=True)
+                    print(first_answer(prepared.problem, cfg.effects), flush=True)
             with folder.stage("rounds"):
                 inference = infer(prepared.problem, scheme, folder.checkpoints, warn=warn)
             report(folder, prepared, inference, samples=cfg.samples, reweight=cfg.reweight)

@@ -74,6 +74,7 @@ def run_of(
     *,
     unknown: tuple[str, ...] = UNKNOWN,
     complete: bool = True,
+    effects: object = None,
     **vehicle: Any,
 ) -> pd.DataFrame:
     """A run as its own writer leaves it; returns its table, by parameter."""
@@ -88,7 +89,8 @@ def run_of(
         for name, (_, _, unit) in means.items()
     ]  # fmt: skip
     table = pd.DataFrame(rows, columns=list(COLUMNS))
-    with RunFolder.open(folder, config={"vehicle": VEHICLE | vehicle}, overrides=[], inputs={}) as run:
+    config = {"vehicle": VEHICLE | vehicle, "effects": effects}
+    with RunFolder.open(folder, config=config, overrides=[], inputs={}) as run:
         table.to_csv(folder / "table.csv", index=False)
         samples.to_parquet(folder / "samples.parquet")
         run.record(warnings=[WARNING])
@@ -447,6 +449,19 @@ def test_a_delay_near_zero_may_be_none_and_its_prior_cannot_be_wider(tmp_path: P
     line = line_of(texts(tmp_path, "autoware")["mpc.param.yaml"], "input_delay:")
     assert ("COMPATIBLE WITH NO EFFECT: steering_delay.time" in line) == said
     assert "EDGE" not in line
+
+
+@pytest.mark.parametrize(
+    ("effects", "said"),
+    [
+        ([], "This run did not look for physics that its model lacks."),
+        (["body_roll", "relaxation"], "This run took body_roll and relaxation for all that is missing."),
+        ("plausible", "This run drew whatever physics may be missing from the effect prior"),
+    ],
+)
+def test_a_run_says_what_it_took_to_be_missing(tmp_path: Path, effects: object, said: str) -> None:
+    run_of(tmp_path, effects=effects)
+    assert said in comments(texts(tmp_path, "autoware")["mpc.param.yaml"])
 
 
 def test_what_no_effect_stands_for_is_told_as_a_size(tmp_path: Path) -> None:

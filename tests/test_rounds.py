@@ -300,4 +300,8 @@ def test_the_first_answer_is_the_fit_and_the_spread_about_it() -> None:
 def test_where_no_fit_explains_the_recording_there_is_no_first_answer() -> None:
     study = problem()
     wave = 3.0 * study.simulator.noise.floor[:, None] * np.sin(np.arange(study.observed.shape[1]) / 3.0)
-    assert "No first answer" in first_answer(replace(study, observed=study.observed + wave))
+    unlike = replace(study, observed=study.observed + wave)
+    assert first_answer(unlike).endswith("`diagnose` says what the model lacks.")
+    said = first_answer(unlike, ["gyro_bias"])
+    assert said.startswith("No first answer")
+    assert "diagnose" not in said

@@ -1,5 +1,6 @@
 """From finished rounds to everything a user takes away: samples, tables, figures, the page, and the screen."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +32,10 @@ from vehicle_sbi.rounding import mean_and_std
 
 LEAKING = 0.5  # acceptance below which the last round is warned about
 LEARNABLE = 0.1  # of the prior's width, a bound below which a parameter ought to have been identified
+WITH_EFFECTS = (
+    "The effects that are free do not explain all of it; the posterior follows. "
+    "If a diagnosis named them, its page says what they leave over."
+)
 
 
 @dataclass(frozen=True)
@@ -64,15 +69,16 @@ def results(prepared: Prepared, inference: Inference, *, samples: int, reweight:
     return Results(drawn, table, predictive(simulator, prepared.problem.observed, drawn), pairs, said)
 
 
-def first_answer(problem: Problem) -> str:
-    """Means and standard deviations about the best fit (Laplace's approximation), before any network is trained."""
+def first_answer(problem: Problem, effects: Sequence[str] = ()) -> str:
+    """Means and standard deviations about the best fit (Laplace's approximation), before any network is trained; of a
+    model with the `effects`."""
     if len(problem.simulator.plausible):
         return "No first answer: with plausible effects free no normal about a fit holds the posterior."
     found = problem.laplace
     if found is None:
         return (
             "No first answer: the best fit leaves over more than the noise, or the simulation fails beside it. "
-            "`diagnose` says what the model lacks."
+            f"{WITH_EFFECTS if effects else '`diagnose` says what the model lacks.'}"
         )
     mean, covariance = found.marginal
     space, std = problem.simulator.space, np.sqrt(np.diag(covariance))

@@ -29,6 +29,7 @@ UNCHECKED = (
     "This run did not look for physics that its model lacks. Its uncertainties hold if nothing is missing. "
     "A diagnosis looks."
 )
+GIVEN = "This run took {} for all that is missing. Its uncertainties hold if nothing else is."
 ALLOWED_FOR = (
     "This run drew whatever physics may be missing from the effect prior, and its uncertainties allow for that. It did "
     "not look for what is missing; a diagnosis looks."
@@ -55,9 +56,16 @@ def _run(run: FinishedRun) -> Exported:
     inferred = dict(_rows(_table(run.file("table.csv"))))
     correlation = _correlation(run.file("samples.parquet"), [*inferred])
     facts = run.manifest.get("facts", {})
-    checked = ALLOWED_FOR if run.config.get("effects") == PLAUSIBLE else UNCHECKED
-    caveats = [*facts.get("warnings", ()), checked, *([INDEPENDENT] if correlation is None else [])]
+    assumed = _assumed(run.config.get("effects"))
+    caveats = [*facts.get("warnings", ()), assumed, *([INDEPENDENT] if correlation is None else [])]
     return _exported(run, "run", inferred, correlation, {}, caveats)
+
+
+def _assumed(effects: str | list[str] | None) -> str:
+    """What a run took to be missing."""
+    if effects == PLAUSIBLE:
+        return ALLOWED_FOR
+    return GIVEN.format(enumerated([str(one) for one in effects])) if effects else UNCHECKED
 
 
 def _table(file: Path) -> pd.DataFrame:
