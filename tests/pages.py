@@ -62,8 +62,9 @@ def run_page(path: Path, *, seconds: float = 10.0) -> Page:
     space, rng = simulator.space, np.random.default_rng(0)
     samples = rng.uniform(space.low, space.high, (2000, len(space)))
     samples[:, 0] = rng.normal(0.5 * (space.low + space.high)[0], 0.02 * space.prior_std[0], len(samples))
+    bound = np.where(np.arange(len(space)) == 0, 0.02, np.inf) * space.prior_std
     page = run.page_of(
-        HOSTILE, space, samples, posterior_table(space, samples, bound_std=0.02 * space.prior_std),
+        HOSTILE, space, samples, posterior_table(space, samples, bound_std=bound),
         (simulator.windows, y, np.stack([y - 0.1, y, y + 0.1])),
         path=path, figures={}, notes=[f"a note {HOSTILE}"], warnings=[],
     )  # fmt: skip

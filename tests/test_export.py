@@ -83,8 +83,8 @@ def run_of(
         {
             "parameter": name, "unit": unit, "prior_low": -9.0, "prior_high": 9.0, "true": np.nan,
             "mean": samples[name].mean(), "std": samples[name].std(), "q05": samples[name].quantile(0.05),
-            "q50": samples[name].median(), "q95": samples[name].quantile(0.95), "bound_std": 0.1, "contraction": 0.9,
-            "identified": name not in unknown,
+            "q50": samples[name].median(), "q95": samples[name].quantile(0.95),
+            "bound_std": np.inf if name in unknown else 0.1, "contraction": 0.9, "identified": name not in unknown,
         }
         for name, (_, _, unit) in means.items()
     ]  # fmt: skip
@@ -215,6 +215,17 @@ def test_what_was_not_identified_is_a_comment(tmp_path: Path, format: str) -> No
     for name, text in texts(tmp_path, format).items():
         assert "h_cog: not identified from these recordings" in comments(text), name
         assert "h_cg:" not in text, name
+
+
+def test_what_the_run_has_not_learned_is_said_so(tmp_path: Path) -> None:
+    run_of(tmp_path)
+    table = pd.read_csv(tmp_path / "table.csv")
+    table.loc[table["parameter"] == "steering_delay.time", "identified"] = False  # its bound is far below its prior
+    table.to_csv(tmp_path / "table.csv", index=False)
+    manifests.write(tmp_path, manifests.read(tmp_path) | {"files": {}})
+    text = comments(texts(tmp_path, "autoware")["mpc.param.yaml"])
+    assert "steering_delay.time: not learned by this run" in text
+    assert "steering_delay.time: not identified" not in text
 
 
 def test_without_one_axle_there_is_no_value_that_needs_both(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.prior import KNOWN
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.report import figures, tables
+from vehicle_sbi.report.page.run import lines
 from vehicle_sbi.report.results import table_warnings
 from vehicle_sbi.report.run_folder import RunFolder
 
@@ -118,6 +119,17 @@ def test_csv_keeps_every_digit_and_people_are_told_what_is_not_identified(tmp_pa
     assert r"$l_{f}$ & $h_{\mathrm{cog}}$ & $\Delta C_{\kappa}$" in tex
     assert tex.count(r"\toprule") == tex.count(r"\bottomrule") == 2
     assert_is_a_latex_table(tex)
+
+
+def test_what_the_recording_tells_and_the_run_has_not_learned_is_no_fault_of_the_recording(tmp_path: Path) -> None:
+    found = tables.posterior_table(SPACE, samples(), bound_std=np.full(3, 0.01))  # h_cog is left as its prior
+    assert tables.unidentified(found) == ["", tables.NOT_LEARNED, ""]
+    tables.write_tables(tmp_path, found, tables.nominal_table(SPACE, NOMINAL, noise_percent={}))
+    shown = [(tmp_path / f"table.{kind}").read_text() for kind in ("md", "tex")]
+    for text in (*shown, tables.terminal(found), " ".join(lines(found)).lower(), *table_warnings(found, SPACE)):
+        assert tables.NOT_IDENTIFIED not in text
+        assert "not learned" in text
+    assert_is_a_latex_table(shown[1])
 
 
 def assert_is_a_latex_table(tex: str) -> None:

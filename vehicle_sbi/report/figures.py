@@ -27,7 +27,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from vehicle_sbi.files import write_atomically
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.report.density import density_in_box, level_of
-from vehicle_sbi.report.tables import NOT_IDENTIFIED, minus, symbol, unit_symbol
+from vehicle_sbi.report.tables import minus, symbol, unidentified, unit_symbol
 from vehicle_sbi.rounding import mean_and_std
 
 MEASURED, POSTERIOR, TRUTH, BOUND, PRIOR = "#333333", "#2b6ca3", "#c8322b", "#c98a13", "#d9d9d9"
@@ -360,7 +360,7 @@ def contraction_bars(table: pd.DataFrame, path: Path) -> None:
 
 
 def _remarks(table: pd.DataFrame) -> Iterator[str]:
-    for unit, mean, std, identified in table[["unit", "mean", "std", "identified"]].to_numpy():
+    for (unit, mean, std), why in zip(table[["unit", "mean", "std"]].to_numpy(), unidentified(table), strict=True):
         value, shown = minus(mean_and_std(mean, std)), unit_symbol(unit)
         quantity = f"({value}) {shown}" if shown.startswith("$10") else f"{value} {shown}"
-        yield quantity if identified else NOT_IDENTIFIED
+        yield why or quantity

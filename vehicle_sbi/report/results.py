@@ -26,12 +26,20 @@ from vehicle_sbi.report.figures import predictive as predictive_figure
 from vehicle_sbi.report.page.page import write_page
 from vehicle_sbi.report.page.run import page_of
 from vehicle_sbi.report.run_folder import RunFolder
-from vehicle_sbi.report.tables import maybe_none, nominal_table, on_edge, posterior_table, terminal, write_tables
+from vehicle_sbi.report.tables import (
+    NOT_LEARNED,
+    maybe_none,
+    nominal_table,
+    on_edge,
+    posterior_table,
+    terminal,
+    unidentified,
+    write_tables,
+)
 from vehicle_sbi.rng import Stream, seed_torch
 from vehicle_sbi.rounding import mean_and_std
 
 LEAKING = 0.5  # acceptance below which the last round is warned about
-LEARNABLE = 0.1  # of the prior's width, a bound below which a parameter ought to have been identified
 WITH_EFFECTS = (
     "The effects that are free do not explain all of it; the posterior follows. "
     "If a diagnosis named them, its page says what they leave over."
@@ -224,8 +232,8 @@ def round_warnings(inference: Inference, table: pd.DataFrame, space: ParameterSp
 def table_warnings(table: pd.DataFrame, space: ParameterSpace) -> list[str]:
     """Of each parameter what its row alone warns of."""
     warnings = list[str]()
-    for p, row in zip(space.parameters, table.to_dict("records"), strict=True):
-        if not row["identified"] and row["bound_std"] < LEARNABLE * (p.high - p.low):
+    for p, row, why in zip(space.parameters, table.to_dict("records"), unidentified(table), strict=True):
+        if why == NOT_LEARNED:
             warnings.append(
                 f"{p.name}: the recording tells it to {row['bound_std']:.2g} {p.unit}, but this run has not learned "
                 "it; it needs more simulations or other features."

@@ -28,10 +28,13 @@ COLUMNS = (
 )  # fmt: skip
 WIDENED = ("bound_std_alone", "bound_widened", "std_over_bound_alone")  # with plausible effects free
 NOT_IDENTIFIED = "not identified by this recording"
+NOT_LEARNED = "not learned by this run"  # though the recording tells it
+LEARNABLE = 0.1  # of the prior's width, a bound below which a parameter ought to have been identified
 # 1 - (posterior std / prior std)^2 from which the posterior is no longer just the prior: std below 0.87 of the prior's.
 # The contraction of an untouched uniform prior scatters by 0.03 over 1000 samples, so chance does not reach it, and an
 # estimator that is merely a little too narrow does not either.
 IDENTIFIED_CONTRACTION = 0.25
+MARKS = {NOT_IDENTIFIED: r"$^\dagger$", NOT_LEARNED: r"$^\ddagger$"}  # in LaTeX
 EDGE = 0.05  # of the prior's width, within which a median counts as lying on its edge
 CERTAIN = 2.0  # standard deviations off its null, from which a size that cannot cross it is something
 SCREEN_WIDTH = 110
@@ -90,6 +93,19 @@ def posterior_table(
     }
     table = pd.DataFrame(columns, columns=list(COLUMNS))
     return table if bound_std_alone is None else table.assign(**_widened(table, bound_std_alone))
+
+
+def unidentified(table: pd.DataFrame) -> list[str]:
+    """Why each parameter is not identified: the recording does not tell it, or the run has not learned it; empty where
+    it is."""
+    return [_why_not(row) for row in table.to_dict("records")]
+
+
+def _why_not(row: Mapping) -> str:
+    if row["identified"]:
+        return ""
+    learnable = row["bound_std"] < LEARNABLE * (row["prior_high"] - row["prior_low"])
+    return NOT_LEARNED if learnable else NOT_IDENTIFIED
 
 
 def _widened(table: pd.DataFrame, alone: Float[np.ndarray, " d"]) -> dict[str, np.ndarray]:
@@ -159,7 +175,7 @@ def for_people(table: pd.DataFrame) -> pd.DataFrame:
         "bound": [rounded(bound, bound) for bound in table["bound_std"]],
         **_widened_for_people(table),
         "contraction": [_contraction(value) for value in table["contraction"]],
-        "identified": np.where(table["identified"].astype(bool), "yes", NOT_IDENTIFIED),
+        "identified": [why or "yes" for why in unidentified(table)],
     }
     people = pd.DataFrame(shown)
     return people.drop(columns="true") if table["true"].isna().all() else people
@@ -183,7 +199,7 @@ def _contraction(value: float) -> str:
 def terminal(table: pd.DataFrame) -> str:
     """The table as text of at most `SCREEN_WIDTH` columns; prior, then interval give way where names are long."""
     people = for_people(table)
-    identified = people.pop("identified") == "yes"
+    people = people.drop(columns="identified")
     people["parameter"] += [f" [{unit}]" if unit != "1" else "" for unit in people.pop("unit")]
     lines = _aligned(people)
     for column in ("prior", "5 % to 95 %", "contraction"):
@@ -191,14 +207,14 @@ def terminal(table: pd.DataFrame) -> str:
             people = people.drop(columns=column)
             lines = _aligned(people)
     rule = "─" * max(map(len, lines))
-    body = [text for line, known in zip(lines[1:], identified, strict=True) for text in _with_remark(line, known)]
+    body = [text for line, why in zip(lines[1:], unidentified(table), strict=True) for text in _with_remark(line, why)]
     return "\n".join([lines[0], rule, *body])
 
 
-def _with_remark(line: str, identified: bool) -> Iterator[str]:
+def _with_remark(line: str, remark: str) -> Iterator[str]:
     yield line
-    if not identified:
-        yield f"  {NOT_IDENTIFIED}"
+    if remark:
+        yield f"  {remark}"
 
 
 def _aligned(people: pd.DataFrame) -> list[str]:
@@ -259,7 +275,7 @@ def write_tables(folder: Path, table: pd.DataFrame, nominal: pd.DataFrame, notes
 def _tex(table: pd.DataFrame, nominal: pd.DataFrame, notes: Sequence[str]) -> str:
     """Two booktabs tables with the parameters as columns, as the paper's Tables I and II."""
     people = for_people(table)
-    known = people["identified"] == "yes"
+    why = unidentified(table)
     rows = {"Unit": [unit_symbol(unit) for unit in table["unit"]]}
     if "true" in people:
         rows["True"] = list(people["true"])
@@ -268,9 +284,9 @@ def _tex(table: pd.DataFrame, nominal: pd.DataFrame, notes: Sequence[str]) -> st
     rows["Bound"] = [text.replace("∞", r"$\infty$") for text in people["bound"]]
     rows["Contraction"] = [text.replace(">", "$>$") for text in people["contraction"]]
     rows["Prior"] = [f"{low:g}, {high:g}" for low, high in zip(table["prior_low"], table["prior_high"], strict=True)]
-    rows["Identified"] = ["yes" if yes else r"no$^\dagger$" for yes in known]
+    rows["Identified"] = [f"no{MARKS[one]}" if one else "yes" for one in why]
     posterior = _tabular([symbol(name) for name in table["parameter"]], rows)
-    remarks = [] if known.all() else [rf"$^\dagger$ {NOT_IDENTIFIED}."]
+    remarks = [f"{mark} {said}." for said, mark in MARKS.items() if said in why]
     shown = nominal_for_people(nominal)
     first = _tabular(
         [symbol(name) for name in nominal["quantity"]],

@@ -92,7 +92,7 @@ class Car:
         parts += ["steering_ratio.gain"] if name == "steering_ratio" else []
         culprits = [one for one in parts if one in self.known.not_identified]
         if culprits:
-            return f"{', '.join(culprits)}: not identified from these recordings"
+            return "; ".join(f"{one}: {self.known.inferred[one].why_not}" for one in culprits)
         if self._setting(name):
             return f"{self._setting(name)[0]}: an offset from a nominal {name} that is not known"
         effect = name.split(".")[0]

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.export.exported import Exported, Inferred
 from vehicle_sbi.report.run_folder import FinishedRun
 from vehicle_sbi.report.run_folder import read as read_run
-from vehicle_sbi.report.tables import IDENTIFIED_CONTRACTION, maybe_none, on_edge, read_table
+from vehicle_sbi.report.tables import IDENTIFIED_CONTRACTION, NOT_LEARNED, maybe_none, on_edge, read_table, unidentified
 from vehicle_sbi.words import enumerated
 
 UNCHECKED = (
@@ -76,12 +76,13 @@ def _table(file: Path) -> pd.DataFrame:
 
 def _rows(table: pd.DataFrame) -> Iterator[tuple[str, Inferred]]:
     """Each parameter of a run's table."""
-    for row in table.to_dict("records"):
+    for row, why_not in zip(table.to_dict("records"), unidentified(table), strict=True):
         name = str(row["parameter"])
         estimate = _estimate(row, str(row["unit"]), f"table.csv: {name}")
         identified = str(row["identified"]).strip().lower() == "true"
         box = (float(row["prior_low"]), float(row["prior_high"]))
-        yield name, _inferred(name, estimate, box, identified=identified and _finite(estimate))
+        found = _inferred(name, estimate, box, identified=identified and _finite(estimate))
+        yield name, replace(found, why_not=NOT_LEARNED) if why_not == NOT_LEARNED else found
 
 
 def _correlation(file: Path, names: list[str]) -> pd.DataFrame | None:

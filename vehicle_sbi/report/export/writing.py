@@ -44,7 +44,8 @@ def head(title: str, known: Exported, remarks: Sequence[str] = ()) -> list[str]:
 
 def left_over(known: Exported, entries: Sequence[Entry]) -> list[str]:
     """What was not identified, and what was but has no key in these files."""
-    lines = [line for name in known.not_identified for line in comment(f"{name}: not identified from these recordings")]
+    unidentified = [f"{name}: {known.inferred[name].why_not}" for name in known.not_identified]
+    lines = [*chain(*map(comment, unidentified))]
     for name in without_place(known, entries):
         one = known.inferred[name].estimate
         lines += comment(f"{name} = {_spread(one.mean, one.std, one.unit)}: identified, no key here takes it")

@@ -15,7 +15,7 @@ from vehicle_sbi.report.page.charts import chart
 from vehicle_sbi.report.page.page import Page
 from vehicle_sbi.report.page.parts import Curves, Interval, Listed, Picture, Range, Ranges, Section, Table, raised, unit
 from vehicle_sbi.report.page.series import series
-from vehicle_sbi.report.tables import LEGEND, NOT_IDENTIFIED, for_people, minus
+from vehicle_sbi.report.tables import LEGEND, NOT_IDENTIFIED, NOT_LEARNED, for_people, minus, unidentified
 from vehicle_sbi.rounding import mean_and_std
 
 POINTS = 200  # of a density
@@ -73,8 +73,10 @@ def lines(table: pd.DataFrame) -> list[str]:
     values = [f"{name} = {_value(mean, std, of)}" for name, mean, std, of in rows]
     more = [f"and {len(values) - SPELLED} more"] if len(values) > SPELLED else []
     said = [raised(f"{'; '.join([*values[:SPELLED], *more])}.")] if values else []
-    unknown = table["parameter"][~known].tolist()
-    return [*said, f"{NOT_IDENTIFIED.capitalize()}: {', '.join(unknown)}."] if unknown else said
+    unknown = {why: [] for why in (NOT_IDENTIFIED, NOT_LEARNED)}
+    for name, why in zip(table["parameter"], unidentified(table), strict=True):
+        unknown.get(why, []).append(name)
+    return [*said, *(f"{why.capitalize()}: {', '.join(names)}." for why, names in unknown.items() if names)]
 
 
 def _value(mean: float, std: float, of: str) -> str:
@@ -86,12 +88,13 @@ def _value(mean: float, std: float, of: str) -> str:
 def _posteriors(space: ParameterSpace, samples: Float[np.ndarray, "n d"], table: pd.DataFrame) -> Ranges:
     thin = samples[:: max(1, len(samples) // KDE_SAMPLES)]
     rows = table.to_dict("records")
-    ranges = [_range(p, x, row) for p, x, row in zip(space.parameters, thin.T, rows, strict=True)]
+    told = zip(space.parameters, thin.T, rows, unidentified(table), strict=True)
+    ranges = [_range(p, x, row, remark) for p, x, row, remark in told]
     keys = {"extended": "posterior, 90 % interval", "prior": "prior"}
     return Ranges(ranges, keys | ({} if table["true"].isna().all() else {"true": "true value"}))
 
 
-def _range(p: Parameter, x: Float[np.ndarray, " n"], row: Mapping) -> Range:
+def _range(p: Parameter, x: Float[np.ndarray, " n"], row: Mapping, remark: str) -> Range:
     grid = np.linspace(p.low, p.high, POINTS)[:, None]
     said = minus(mean_and_std(row["mean"], row["std"]))
     return Range(
@@ -102,7 +105,7 @@ def _range(p: Parameter, x: Float[np.ndarray, " n"], row: Mapping) -> Range:
         intervals=[Interval("extended", row["q05"], row["mean"], row["q95"], said)],
         density=density_in_box(x[:, None], grid, np.array([p.low]), np.array([p.high])),
         true=None if np.isnan(row["true"]) else row["true"],
-        remark="" if row["identified"] else NOT_IDENTIFIED,
+        remark=remark,
     )
 
 
