@@ -3,6 +3,7 @@
 import json
 import pickle
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -32,7 +33,7 @@ from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.report import manifest as manifests
 from vehicle_sbi.report import netcdf
-from vehicle_sbi.report.extended import extended
+from vehicle_sbi.report.extended import command, extended
 from vehicle_sbi.report.stage_file import read
 
 CHANNELS = "recording.channels=[a_x,a_y,yaw_rate]"
@@ -104,16 +105,16 @@ def test_the_draws_are_those_that_the_verdict_speaks_of(run: Path) -> None:
 
 
 def test_the_extended_model_is_a_configuration_of_run(run: Path, tmp_path: Path) -> None:
-    # As an experiment of a folder beside conf; free is what is so in the base model and the effect, not in run.py.
+    # By the command that is printed; free is what is so in the base model and the effect, not in run.py.
     written_down = yaml.safe_load((run / "extended.yaml").read_text())
     best = json.loads((run / "verdict.json").read_text())["explanations"][0]
     assert written_down["effects"] == best["effects"]
-    (tmp_path / "experiment").mkdir()
-    shutil.copy(run / "extended.yaml", tmp_path / "experiment" / "found.yaml")
+    program, verb, *words = shlex.split(command(run))
+    assert (program, verb, words[-1]) == ("vehicle-sbi", "run", f"hydra.run.dir={run}-extended")
     folder = tmp_path / "inferred"
     status, _, err = infer(
-        "--config-dir", str(tmp_path), "experiment=found", "rounds.rounds=1", "rounds.simulations=100",
-        "training.max_epochs=2", "samples=200", f"hydra.run.dir={folder}",
+        *words[:-1], "rounds.rounds=1", "rounds.simulations=100", "training.max_epochs=2", "samples=200",
+        f"hydra.run.dir={folder}",
     )  # fmt: skip
     assert status == 0, err
     inferred = pd.read_csv(folder / "table.csv").set_index("parameter")

@@ -12,7 +12,7 @@ from vehicle_sbi.mismatch.answer.verdict import Found, verdict
 from vehicle_sbi.mismatch.pipeline import STEPS, steps
 from vehicle_sbi.mismatch.problem.case import Case
 from vehicle_sbi.report import netcdf
-from vehicle_sbi.report.extended import extended
+from vehicle_sbi.report.extended import command, extended
 from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
 from vehicle_sbi.report.page.diagnosis import page_of
 from vehicle_sbi.report.page.page import write_page
@@ -22,12 +22,7 @@ from vehicle_sbi.report.stage_file import write as write_stage
 from vehicle_sbi.rng import Stream, generator
 
 Result = TypeVar("Result")
-WRITTEN = {  # for the user, with what is to be said of it
-    "verdict.json": "",
-    "extended.yaml": " (for `run`, as its first lines say)",
-    netcdf.FILE: "",
-    "report.html": "",
-}
+WRITTEN = ("verdict.json", "extended.yaml", netcdf.FILE, "report.html")  # for the user
 
 if TYPE_CHECKING:  # it needs sbi, which takes seconds to import
     from vehicle_sbi.mismatch.selection.reinfer import Reinference
@@ -85,10 +80,10 @@ def write_report(folder: RunFolder, case: Case, found: Found, answer: Verdict) -
 
 
 def show(folder: RunFolder) -> None:
-    """Print the headline of a finished diagnosis, its lines and warnings, and the paths of what it wrote."""
+    """Print the headline of a finished diagnosis, its lines and warnings, the paths of what it wrote, and what infers
+    the extended model."""
     answer = json.loads((folder.path / "verdict.json").read_text())
     print(answer["headline"], *answer["lines"], *answer["warnings"], sep="\n")
     print()
-    for name, hint in WRITTEN.items():
-        if (folder.path / name).exists():
-            print(f"{folder.path / name}{hint}")
+    print(*(folder.path / name for name in WRITTEN if (folder.path / name).exists()), sep="\n")
+    print(f"\nTo infer the extended model with networks, which is optional and slower:\n{command(folder.path)}")

@@ -5,7 +5,9 @@ that the model is the diagnosed one whatever the defaults are.
 """
 
 import os
+import shlex
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -18,13 +20,21 @@ STATED = ("vehicle", "prior", "recording", "noise")
 FILES = ("path", "mapping", "dbc")  # keys whose text is a path
 HEAD = """\
 # @package _global_
-# The extended model of a diagnosis: copy to FOLDER/experiment/NAME.yaml, then:
-#   vehicle-sbi run --config-dir FOLDER experiment=NAME
+# The extended model of a diagnosis. To infer it, with the folder of this file in the place of FOLDER:
+#   vehicle-sbi run --config-dir FOLDER experiment=../extended hydra.run.dir=FOLDER-extended
 """
 OTHERS = """\
 # It is inferred from the first of the recordings that were diagnosed. For another one put its path under recording, or,
 # where conf/recording names it, what it says there:
 """
+
+
+def command(folder: Path) -> str:
+    """What infers the extended model of a diagnosis in `folder`."""
+    beside = folder.with_name(f"{folder.name}-extended")
+    return shlex.join(
+        ["vehicle-sbi", "run", "--config-dir", str(folder), "experiment=../extended", f"hydra.run.dir={beside}"]
+    )
 
 
 def extended(model: Model, config: Mapping[str, Any]) -> str:
