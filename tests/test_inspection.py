@@ -15,7 +15,7 @@ from vehicle_sbi.data.inspection.guess import guess
 from vehicle_sbi.data.inspection.inspection import Inspection, inspect
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
 from vehicle_sbi.data.inspection.units import split
-from vehicle_sbi.data.inspection.written import mapping_text, write
+from vehicle_sbi.data.inspection.written import ADVICE, mapping_text, vehicle_text, write
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.physics.vehicle import MEANINGS, Vehicle
@@ -300,3 +300,11 @@ def test_the_other_side_is_named_where_the_drive_turns_to_the_right() -> None:
     }
     assert any(line.startswith("91% of the turning is to the right") for line in excitation(recording(mirrored)))
     assert 0.5 < ONE_SIDED < 0.91
+
+
+def test_the_vehicle_file_says_what_to_state_of_a_dry_road_and_states_nothing_itself() -> None:
+    text = vehicle_text("car", steered=True)
+    for name, advice in ADVICE.items():
+        (line,) = [line for line in text.splitlines() if line.startswith(f"{name}:")]
+        assert advice in line
+        assert yaml.safe_load(text)[name] is None

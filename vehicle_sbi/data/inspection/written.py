@@ -27,7 +27,8 @@ UNITS = {
 }
 DRIVEN = "1 front, 0 rear, between if both"
 USUAL = {"drive_front": json.dumps(DRIVEN), "brake_front": "0.6", "C_vert": ".inf", "K": ".inf"}
-
+ADVICE = {"mu": "on dry asphalt state 0.95"}
+"""Constants of which a value is known that is better than the range of their priors."""
 
 EXAMPLES = {"v_x": "km/h", "a_y": "m/s2", "yaw_rate": "deg/s"}
 """Channels that every diagnosis needs, beside a steering, with a unit that a logger may have."""
@@ -112,5 +113,6 @@ def _vehicle_lines(name: str, steered: bool) -> Iterator[str]:
         prior = PRIORS.get(constant)
         unit = UNITS.get(constant) or (prior.unit if prior else "1")
         span = f"; usually {prior.low:g} to {prior.high:g}" if prior and constant not in IMU_PRIORS else ""
+        span += f"; {ADVICE[constant]}" if constant in ADVICE else ""
         value = json.dumps(UNEDITED) if asked else USUAL.get(constant, "null")
         yield f"{constant}: {value} # [{unit}] {what}{span}"
