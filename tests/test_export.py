@@ -462,6 +462,27 @@ def test_a_delay_near_zero_may_be_none_and_its_prior_cannot_be_wider(tmp_path: P
     assert "EDGE" not in line
 
 
+def test_a_size_that_is_there_only_if_its_effect_is_missing_says_how_probable_that_is(tmp_path: Path) -> None:
+    diagnosis_of(tmp_path, effects={"body_roll": 1.0, "steering_delay": 0.66, "steering_lag": 0.1})
+    text = texts(tmp_path, "autoware")["mpc.param.yaml"]
+    assert "if steering_delay is missing (0.66)" in line_of(text, "input_delay:")
+    assert "if body_roll is missing" not in text  # it is certain
+    assert "if" not in line_of(text, "cf:").split()
+
+
+def test_parameters_that_a_run_hardly_tells_apart_are_a_caveat(tmp_path: Path) -> None:
+    run_of(tmp_path)
+    samples, pair = samples_of(MEANS), ("steering_delay.time", "imu_lever_arm.x")
+    samples["imu_lever_arm.x"] = -samples["l_f"]
+    samples.to_parquet(tmp_path / "samples.parquet")
+    manifest = manifests.read(tmp_path)
+    told = {"confusable": [["l_f", "h_cog", 0.99], [*pair, -0.97]]}  # h_cog is not identified
+    manifests.write(tmp_path, manifest | {"files": {}, "facts": manifest["facts"] | told})
+    (said,) = [line for line in export(tmp_path, "json").caveats if line.startswith("Hardly told apart")]
+    assert "l_f and imu_lever_arm.x (-1.00), steering_delay.time and imu_lever_arm.x (-0.97)" in said
+    assert "h_cog" not in said
+
+
 @pytest.mark.parametrize(
     ("effects", "said"),
     [

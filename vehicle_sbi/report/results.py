@@ -109,7 +109,7 @@ def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, sampl
         warnings = [*prepared.warnings, *round_warnings(inference, found.table, prepared.problem.simulator.space)]
         notes += [f"Hardly told apart: {a} and {b}: correlation {r:.2f}." for a, b, r in found.confusable]
         told = [*notes, *found.predicted.sentences(), *prepared.notes]
-        folder.record(**facts(inference), notes=told, warnings=warnings)
+        folder.record(**facts(inference), confusable=found.confusable, notes=told, warnings=warnings)
         write_tables(folder.path, found.table, nominal(prepared), [*warnings, *told])
     with folder.stage("figures"):
         figures = write_figures(folder.path / "figures", found, prepared, inference)

@@ -2,8 +2,9 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ ALLOWED_FOR = (
     "not look for what is missing; a diagnosis looks."
 )
 FEWEST = 30  # draws in which two parameters are there, from which they tell how those hang together
+STRONG = 0.9  # correlation above which a run's parameters are to be used together or not at all
 INDEPENDENT = "A value made of several parameters takes them as independent: no samples of them together are stored."
 
 
@@ -57,8 +59,24 @@ def _run(run: FinishedRun) -> Exported:
     correlation = _correlation(run.file("samples.parquet"), [*inferred])
     facts = run.manifest.get("facts", {})
     assumed = _assumed(run.config.get("effects"))
-    caveats = [*facts.get("warnings", ()), assumed, *([INDEPENDENT] if correlation is None else [])]
+    known = [name for name, one in inferred.items() if one.identified]
+    pairs = _correlated(known, correlation, facts.get("confusable", ()))
+    caveats = [*facts.get("warnings", ()), *pairs, assumed, *([INDEPENDENT] if correlation is None else [])]
     return _exported(run, "run", inferred, correlation, {}, caveats)
+
+
+def _correlated(
+    known: Sequence[str], correlation: pd.DataFrame | None, confusable: Iterable[tuple[str, str, float]]
+) -> Iterator[str]:
+    """Which of the known parameters the run hardly tells apart, by its samples or by its bound."""
+    found = dict[tuple[str, str], float]()
+    if correlation is not None:
+        numbers = correlation.loc[[*known], [*known]].to_numpy()[np.triu_indices(len(known), 1)]
+        found |= {pair: r for pair, r in zip(combinations(known, 2), numbers, strict=True) if abs(r) > STRONG}
+    found |= {(a, b): r for a, b, r in confusable if a in known and b in known}
+    pairs = sorted(found.items(), key=lambda one: -abs(one[1]))
+    if pairs:
+        yield f"Hardly told apart, with correlations: {', '.join(f'{a} and {b} ({r:.2f})' for (a, b), r in pairs)}."
 
 
 def _assumed(effects: str | list[str] | None) -> str:

@@ -1,13 +1,14 @@
 """Text of parameter files: values with full precision, and comments that nothing in a name can break out of."""
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 
 from vehicle_sbi.report.export.car import Entry
 from vehicle_sbi.report.export.exported import Exported
 from vehicle_sbi.rounding import rounded
 
+SURE = 0.995  # probability from which an effect's size is not conditional
 WIDTH = 110  # columns of a comment
 LEGEND = (
     "Values are posterior means. Beside each: unit; standard deviation; 5 % and 95 % quantiles; the parameters it is "
@@ -48,7 +49,8 @@ def left_over(known: Exported, entries: Sequence[Entry]) -> list[str]:
     lines = [*chain(*map(comment, unidentified))]
     for name in without_place(known, entries):
         one = known.inferred[name].estimate
-        lines += comment(f"{name} = {_spread(one.mean, one.std, one.unit)}: identified, no key here takes it")
+        said = [f"{name} = {_spread(one.mean, one.std, one.unit)}: identified, no key here takes it"]
+        lines += comment("; ".join([*said, *_conditions(known, [name])]))
     return lines
 
 
@@ -111,11 +113,18 @@ def remark(known: Exported, entry: Entry) -> str:
         origin += f", with {', '.join(entry.stated)} STATED" if entry.stated else ""
         edges = [name for name in value.slopes if known.inferred[name].on_edge]
         nothing = [name for name in value.slopes if known.inferred[name].maybe_none]
+        origin += "".join(f"; {condition}" for condition in _conditions(known, value.slopes))
         origin += f"; ON THE EDGE OF ITS PRIOR: {', '.join(edges)}" if edges else ""
         origin += f"; COMPATIBLE WITH NO EFFECT: {', '.join(nothing)}" if nothing else ""
     else:
         origin = "STATED, not identified"
     return "; ".join(part for part in (unit, origin, entry.note) if part)
+
+
+def _conditions(known: Exported, names: Iterable[str]) -> list[str]:
+    """What has to be missing for sizes to be there at all, unless that is certain."""
+    found = {name.split(".")[0]: known.inferred[name].probability for name in names}
+    return [f"if {effect} is missing ({p:.2f})" for effect, p in found.items() if p is not None and p < SURE]
 
 
 def _spread(mean: float, std: float, unit: str) -> str:
