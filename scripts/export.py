@@ -17,6 +17,8 @@ def main(cfg: DictConfig) -> None:
 
     written = export(Path(str(cfg.run)), str(cfg.format), None if cfg.to is None else Path(str(cfg.to)))
     print(*written.files, sep="\n")
+    for name in written.left_out:
+        print(f"{name} is not written: nothing that was identified has a key in it")
     print("\nCaveats, which the files repeat:", *(f"  {one_line(caveat)}" for caveat in written.caveats), sep="\n")
 
 

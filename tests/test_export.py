@@ -228,6 +228,15 @@ def test_what_the_run_has_not_learned_is_said_so(tmp_path: Path) -> None:
     assert "steering_delay.time: not identified" not in text
 
 
+def test_a_file_of_stated_values_alone_is_not_written_but_named(tmp_path: Path) -> None:
+    run_of(tmp_path)
+    found = export(tmp_path, "autoware")
+    assert found.left_out == ("vehicle_info.param.yaml",)  # the vehicle's file states wheelbase and radius
+    assert set(found.left_out).isdisjoint(path.name for path in found.files)
+    assert not (tmp_path / "export" / "autoware" / "vehicle_info.param.yaml").exists()
+    assert export(tmp_path, "json").left_out == ()
+
+
 def test_without_one_axle_there_is_no_value_that_needs_both(tmp_path: Path) -> None:
     run_of(tmp_path, unknown=("h_cog", "delta_C_alpha_r"))
     assert "cr" not in parameters(texts(tmp_path, "autoware")["mpc.param.yaml"])["vehicle"]

@@ -32,7 +32,7 @@ POSE = (
 
 
 def autoware(known: Exported) -> dict[str, str]:
-    """Parameter files by name; one that nothing identified has a key in is left out."""
+    """Parameter files by name; one that nothing identified has a key in is empty."""
     car = Car(known)
     entries = {
         "mpc.param.yaml": [*_control(car), *_dynamics(car)],
@@ -47,7 +47,7 @@ def autoware(known: Exported) -> dict[str, str]:
         "vehicle_info.param.yaml": _dimensions_file(car, end),
         "sensors_calibration.yaml": _pose_file(car, end),
     }
-    return {name: text for name, text in texts.items() if has_identified(entries[name])}
+    return {name: text if has_identified(entries[name]) else "" for name, text in texts.items()}
 
 
 def _mpc_file(car: Car, end: list[str]) -> str:

@@ -19,14 +19,16 @@ FORMATS: Mapping[str, Callable[[Exported], dict[str, str]]] = {
     "commonroad": commonroad,
     "json": plain_json,
 }
-"""What a format makes of what is known: the text of each of its files, by name."""
+"""What a format makes of what is known: the text of each of its files, by name; empty where nothing identified has a
+key in it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Written:
-    """The files that were written, and what a user of them must know."""
+    """The files that were written, those that nothing identified has a key in, and what a user of them must know."""
 
     files: tuple[Path, ...]
+    left_out: tuple[str, ...]
     caveats: tuple[str, ...]
 
 
@@ -40,10 +42,12 @@ def export(run: Path, format: str, to: Path | None = None) -> Written:
         raise unknown("format", format, FORMATS, "export")
     known = read(run)
     texts = FORMATS[format](known)
-    if not texts:
+    written = {name: text for name, text in texts.items() if text}
+    if not written:
         found = ", ".join(known.identified)
         raise InputError(f"{run}: {format} has no key for what was identified ({found}); format=json has all of it")
     folder = to or run / "export" / format
-    for name, text in texts.items():
+    for name, text in written.items():
         write_text(folder / name, text)
-    return Written(files=tuple(folder / name for name in texts), caveats=known.caveats)
+    left_out = tuple(name for name in texts if name not in written)
+    return Written(files=tuple(folder / name for name in written), left_out=left_out, caveats=known.caveats)
