@@ -161,18 +161,24 @@ def line_of(text: str, key: str) -> str:
     return found
 
 
+def shown(value: float, std: float) -> Any:
+    """A value as files have it: to the third digit of its standard deviation."""
+    return pytest.approx(value, abs=0.0051 * std)
+
+
 def test_autoware_gets_axle_stiffnesses_and_wheel_loads(tmp_path: Path) -> None:
     """mass_fl = m l_r / (2 L) gives Autoware's l_f = L (mass_rl + mass_rr) / m back."""
     table = run_of(tmp_path)
     text = texts(tmp_path, "autoware")["mpc.param.yaml"]
     vehicle = parameters(text)["vehicle"]
-    assert vehicle["cf"] == pytest.approx(6e4 + 1e5 * table["mean"]["delta_C_alpha_f"], rel=1e-15)
-    assert vehicle["cr"] == pytest.approx(6e4 + 1e5 * table["mean"]["delta_C_alpha_r"], rel=1e-15)
+    mean, std = table["mean"], table["std"]
+    for key, name in (("cf", "delta_C_alpha_f"), ("cr", "delta_C_alpha_r")):
+        assert vehicle[key] == shown(6e4 + 1e5 * mean[name], 1e5 * std[name])
     loads = [vehicle[f"mass_{wheel}"] for wheel in ("fl", "fr", "rl", "rr")]
-    assert sum(loads) == pytest.approx(1500.0, rel=1e-14)
-    assert 2.7 * (loads[2] + loads[3]) / 1500.0 == pytest.approx(table["mean"]["l_f"], rel=1e-14)
-    assert parameters(text)["input_delay"] == table["mean"]["steering_delay.time"]
-    std = 1e5 * table["std"]["delta_C_alpha_f"]
+    assert sum(loads) == shown(1500.0, 4 * 0.5 * 1500.0 / 2.7 * std["l_f"])
+    assert 2.7 * (loads[2] + loads[3]) / 1500.0 == shown(mean["l_f"], std["l_f"])
+    assert parameters(text)["input_delay"] == shown(mean["steering_delay.time"], std["steering_delay.time"])
+    std = 1e5 * std["delta_C_alpha_f"]
     assert f"N/rad; std {rounded(std, std)};" in line_of(text, "cf:")
     assert "AXLE value" in line_of(text, "cf:")
     assert "WARNING: cf and cr are AXLE values" in comments(text)
@@ -181,12 +187,15 @@ def test_autoware_gets_axle_stiffnesses_and_wheel_loads(tmp_path: Path) -> None:
 
 def test_autowares_simulator_has_the_signs_of_its_own_code(tmp_path: Path) -> None:
     """It reports its angle plus steer_bias, ours adds the offset to the reported one; its dead band has one side."""
-    mean = run_of(tmp_path)["mean"]
+    table = run_of(tmp_path)
+    mean, std = table["mean"], table["std"]
     found = parameters(texts(tmp_path, "autoware")["simulator_model.param.yaml"])
-    assert found["steer_bias"] == -mean["steering_offset.angle"]
-    assert found["steer_dead_band"] == 0.5 * mean["steering_dead_band.width"]
-    assert found["steer_time_delay"] == mean["steering_delay.time"]
-    assert found["debug_steer_scaling_factor"] == mean["steering_ratio.gain"]
+    assert found["steer_bias"] == shown(-mean["steering_offset.angle"], std["steering_offset.angle"])
+    assert found["steer_dead_band"] == shown(
+        0.5 * mean["steering_dead_band.width"], 0.5 * std["steering_dead_band.width"]
+    )
+    assert found["steer_time_delay"] == shown(mean["steering_delay.time"], std["steering_delay.time"])
+    assert found["debug_steer_scaling_factor"] == shown(mean["steering_ratio.gain"], std["steering_ratio.gain"])
     assert set(found) == {"steer_bias", "steer_dead_band", "steer_time_delay", "debug_steer_scaling_factor"}
 
 
@@ -195,10 +204,10 @@ def test_the_imus_place_is_in_base_link_with_the_samples_own_uncertainty(tmp_pat
     table, samples = run_of(tmp_path), samples_of(MEANS)
     text = texts(tmp_path, "autoware")["sensors_calibration.yaml"]
     pose = yaml.safe_load(text)["base_link"]["tamagawa/imu_link"]
-    assert pose["x"] == pytest.approx(2.7 - table["mean"]["l_f"] + table["mean"]["imu_lever_arm.x"], rel=1e-14)
-    assert pose["yaw"] == table["mean"]["imu_misalignment.yaw"]
-    assert set(pose) == {"x", "yaw"}
     std = (samples["imu_lever_arm.x"] - samples["l_f"]).std()
+    assert pose["x"] == shown(2.7 - table["mean"]["l_f"] + table["mean"]["imu_lever_arm.x"], std)
+    assert pose["yaw"] == shown(table["mean"]["imu_misalignment.yaw"], table["std"]["imu_misalignment.yaw"])
+    assert set(pose) == {"x", "yaw"}
     assert f"std {rounded(std, std)};" in line_of(text, "x:")
 
 
@@ -206,7 +215,7 @@ def test_a_stated_place_of_the_imu_moves_with_its_lever_arm(tmp_path: Path) -> N
     table = run_of(tmp_path, imu_x=1.2)
     text = texts(tmp_path, "autoware")["sensors_calibration.yaml"]
     pose = yaml.safe_load(text)["base_link"]["tamagawa/imu_link"]
-    assert pose["x"] == pytest.approx(1.2 + table["mean"]["imu_lever_arm.x"], rel=1e-14)
+    assert pose["x"] == shown(1.2 + table["mean"]["imu_lever_arm.x"], table["std"]["imu_lever_arm.x"])
 
 
 @pytest.mark.parametrize("format", ["autoware", "commonroad", "openpilot"])
@@ -246,34 +255,39 @@ def test_without_one_axle_there_is_no_value_that_needs_both(tmp_path: Path) -> N
 
 def test_openpilot_gets_one_factor_that_keeps_the_product_of_the_stiffnesses(tmp_path: Path) -> None:
     """opendbc's scale_tire_stiffness, run on what was exported, with the cargo that its interface adds."""
-    mean = run_of(tmp_path)["mean"]
+    table = run_of(tmp_path)
+    mean, std = table["mean"], table["std"]
     text = texts(tmp_path, "openpilot")["car_specs.py"]
     found = specs(text)
     assert found["mass"] + 136.0 == pytest.approx(1500.0)
     assert found["wheelbase"] == 2.7
-    assert found["steerRatio"] == pytest.approx(16.0 / mean["steering_ratio.gain"])
-    assert found["centerToFrontRatio"] == pytest.approx(mean["l_f"] / 2.7)
+    gain = mean["steering_ratio.gain"]
+    assert found["steerRatio"] == shown(16.0 / gain, 16.0 / gain**2 * std["steering_ratio.gain"])
+    assert found["centerToFrontRatio"] == shown(mean["l_f"] / 2.7, std["l_f"] / 2.7)
     share, mass, factor = found["centerToFrontRatio"], found["mass"] + 136.0, found["tireStiffnessFactor"]
     front = 192150 * factor * mass / 1462 * (1 - share) / 0.6
     rear = 202500 * factor * mass / 1462 * share / 0.4
     stiffnesses = [6e4 + 1e5 * mean[f"delta_C_alpha_{axle}"] for axle in "fr"]
-    assert front * rear == pytest.approx(np.prod(stiffnesses), rel=1e-12)
+    assert front * rear == pytest.approx(np.prod(stiffnesses), rel=0.0051 * 0.1)  # uncertain by a tenth
     assert "ONE stiffness factor for both axles" in comments(text)
 
 
 def test_commonroad_reads_its_folder_and_keeps_the_sum_of_the_stiffnesses(tmp_path: Path) -> None:
     """vehicle_dynamics_st: an axle has the stiffness mu C_S F_z with C_S = -p_ky1 / p_dy1 and mu = p_dy1."""
-    mean = run_of(tmp_path)["mean"]
+    table = run_of(tmp_path)
+    mean, std = table["mean"], table["std"]
     files = export(tmp_path, "commonroad").files
     read = setup_vehicle_parameters(vehicle_id=5, dir_params=files[0].parent)  # pyright: ignore[reportArgumentType]
     assert isinstance(read, VehicleParameters)
-    assert (read.a, read.m, read.h_cg) == (mean["l_f"], 1500.0, None)
-    assert read.b == pytest.approx(2.7 - mean["l_f"])
+    assert (read.m, read.h_cg) == (1500.0, None)
+    assert read.a == shown(mean["l_f"], std["l_f"])
+    assert read.b == shown(2.7 - mean["l_f"], std["l_f"])
     p_ky1, p_dy1 = read.tire.p_ky1, read.tire.p_dy1
     assert p_ky1 is not None
     assert p_dy1 is not None
     total = p_dy1 * (-p_ky1 / p_dy1) * 1500.0 * GRAVITY
-    assert total == pytest.approx(1.2e5 + 1e5 * (mean["delta_C_alpha_f"] + mean["delta_C_alpha_r"]))
+    together = 1e5 * (std["delta_C_alpha_f"] + std["delta_C_alpha_r"])  # at most
+    assert total == shown(1.2e5 + 1e5 * (mean["delta_C_alpha_f"] + mean["delta_C_alpha_r"]), together)
     assert "ONE stiffness coefficient for both axles" in comments(files[1].read_text())
     assert "STATED, not identified" in line_of(files[0].read_text(), "m:")
 
@@ -330,7 +344,7 @@ def test_a_named_stiffness_level_scales_the_axles(tmp_path: Path) -> None:
     whole = json.loads(texts(tmp_path, "json")["parameters.json"])
     found = {name: one["mean"] for name, one in whole["parameters"].items()}
     cf = parameters(texts(tmp_path, "autoware")["mpc.param.yaml"])["vehicle"]["cf"]
-    assert cf == pytest.approx((6e4 + 1e5 * found["delta_C_alpha_f"]) * found["stiffness_level.factor"])
+    assert cf == pytest.approx((6e4 + 1e5 * found["delta_C_alpha_f"]) * found["stiffness_level.factor"], rel=0.001)
     assert whole["constants"]["C_alpha_f"]["from"] == ["delta_C_alpha_f", "stiffness_level.factor"]
 
 

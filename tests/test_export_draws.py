@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 import yaml
-from test_export import comments, diagnosis_of, line_of, numbers, texts
+from test_export import comments, diagnosis_of, line_of, numbers, shown, texts
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.estimation.estimate import drawn
@@ -58,8 +58,8 @@ def test_a_value_of_several_parameters_has_the_spread_of_its_draws(tmp_path: Pat
     diagnosis(tmp_path, theta, np.ones(N, dtype=bool))
     text = texts(tmp_path, "autoware")["sensors_calibration.yaml"]
     pose = yaml.safe_load(text)["base_link"]["tamagawa/imu_link"]
-    assert pose["x"] == pytest.approx(2.7 - theta["l_f"].mean() + theta[ARM].mean(), rel=1e-14)
     std = float((theta[ARM] - theta["l_f"]).to_numpy().std())
+    assert pose["x"] == shown(2.7 - theta["l_f"].mean() + theta[ARM].mean(), std)
     assert f"std {rounded(std, std)};" in line_of(text, "x:")
     assert INDEPENDENT not in comments(text)
 

@@ -1,12 +1,13 @@
-"""Text of parameter files: values with full precision, and comments that nothing in a name can break out of."""
+"""Text of parameter files: values to a digit more than their uncertainty supports, so that what is made of several of
+them stays right, and comments that nothing in a name can break out of."""
 
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 
 from vehicle_sbi.report.export.car import Entry
-from vehicle_sbi.report.export.exported import Exported
-from vehicle_sbi.rounding import rounded
+from vehicle_sbi.report.export.exported import Exported, Value
+from vehicle_sbi.rounding import NONE, rounded
 
 SURE = 0.995  # probability from which an effect's size is not conditional
 WIDTH = 110  # columns of a comment
@@ -97,7 +98,14 @@ def _line(known: Exported, entry: Entry, indent: str, between: str, end: str) ->
     if entry.value is None:
         yield f"{indent}# {one_line(f'{entry.key} left out: {entry.why}')}"
     else:
-        yield f"{indent}{entry.key}{between}{number(entry.value.mean)}{end}  # {one_line(remark(known, entry))}"
+        value = number(_shown(known, entry.value))
+        yield f"{indent}{entry.key}{between}{value}{end}  # {one_line(remark(known, entry))}"
+
+
+def _shown(known: Exported, value: Value) -> float:
+    """A value to the third digit of its standard deviation; one without any as it is."""
+    fine = 0.1 * known.estimate(value).std
+    return float(rounded(value.mean, fine)) if fine > NONE * abs(value.mean) else value.mean
 
 
 def remark(known: Exported, entry: Entry) -> str:
