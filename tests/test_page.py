@@ -15,8 +15,11 @@ from test_report import PNG, finished_run, table
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.answer.schema import Unknown
 from vehicle_sbi.mismatch.answer.wording import TOO_SMALL, as_a_whole
+from vehicle_sbi.mismatch.estimation.estimate import Estimate
+from vehicle_sbi.physics import sensors
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 from vehicle_sbi.report.page import parts
-from vehicle_sbi.report.page.diagnosis import _unknown, _where
+from vehicle_sbi.report.page.diagnosis import CLAUSES, GROUPS, _explained, _unknown, _where
 from vehicle_sbi.report.page.index import BROKEN, CALIBRATION, COMPLETE, DIAGNOSIS, RUN, UNFINISHED, rows, write_index
 from vehicle_sbi.report.page.page import Page, write_page
 from vehicle_sbi.report.page.parts import Listed, Picture, Section, Table, Words
@@ -92,6 +95,15 @@ def test_a_page_never_denies_a_mismatch_that_it_names() -> None:
     assert _where(answer, found) == Words([f"They differ {as_a_whole(answer)}."])
     answer.detected = False
     assert _where(answer, found) == Words(["Nowhere beyond noise."])
+
+
+def test_a_size_whose_name_leaves_something_open_is_explained_in_a_clause() -> None:
+    some = Estimate(0.5, 0.1, 0.3, 0.7, "m")
+    assert _explained("imu_lever_arm.x", some).startswith("x = 0.50 ± 0.10 m (ahead of the centre of gravity")
+    assert _explained("sensor_delay.can", some).endswith("(sensors of the mapping's group can)")
+    assert _explained("relaxation.front", some) == "front = 0.50 ± 0.10 m"
+    assert CLAUSES.keys() <= EFFECT_PARAMETERS.keys()
+    assert GROUPS.keys() <= {*sensors.GROUPS}
 
 
 def test_a_page_has_no_table_without_rows_of_what_no_effect_explains() -> None:

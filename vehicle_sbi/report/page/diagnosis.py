@@ -39,6 +39,15 @@ from vehicle_sbi.rounding import mean_and_std
 
 SETS = 8  # of effects that are listed
 LABELS = {"recorded": "recorded", "base": "base model", "extended": "extended model", "place": "more than noise"}
+ARM = "of the centre of gravity, or of where the vehicle file puts the IMU"
+CLAUSES = {  # what the name of a size leaves open
+    "imu_lever_arm.x": f"ahead {ARM}",
+    "imu_lever_arm.y": f"left {ARM}",
+    "imu_lever_arm.z": f"above {ARM.removeprefix('of ')}",
+    "lateral_load_transfer.uneven": "square of the share of an axle's load that moves to its outer wheel, per m/s^2",
+    "payload.x": "ahead of the empty car's centre of gravity",
+}
+GROUPS = {group: f"sensors of the mapping's group {group}" for group in ("can", "wheel_speed")}
 BAND = {"band": "its 90 % band"}
 PARAMETERS = {"base": "base model alone", "extended": "averaged over what may be missing"}
 OF_CURVES = (
@@ -178,13 +187,20 @@ def _bars(answer: Verdict) -> list[Bar]:
     sizes, laws = _sizes(answer), answer.unknown.laws[:1] if answer.unknown else []
 
     def said(effect: str) -> str:
-        own = [(name.removeprefix(f"{effect}."), e) for name, e in sizes.items() if name.startswith(f"{effect}.")]
-        return raised(minus("; ".join(quantity(name.replace("_", " "), e) for name, e in own)))
+        own = [(name, e) for name, e in sizes.items() if name.split(".")[0] == effect]
+        return raised(minus("; ".join(_explained(name, e) for name, e in own)))
 
     likely = [(name, p) for name, p in answer.effects.items() if p >= LEAST][:MOST_BARS]
     bars = [Bar(name.replace("_", " "), p, said(name)) for name, p in likely]
     left = "".join(raised(minus(f"{law.target}{quantity('', law.size)}")) for law in laws)
     return [*bars, Bar("something unknown", answer.p_unknown, left), Bar("nothing at all", answer.p_none)]
+
+
+def _explained(name: str, e: Estimate) -> str:
+    """A size by its own name, with what that leaves open."""
+    own = name.partition(".")[2]
+    clause = CLAUSES.get(name) or GROUPS.get(own)
+    return quantity(own.replace("_", " "), e) + (f" ({clause})" if clause else "")
 
 
 def _moved(found: Found, answer: Verdict) -> Ranges:
