@@ -29,11 +29,10 @@ from vehiclemodels.parameters_vehicle3 import parameters_vehicle3
 
 from vehicle_sbi.physics.effects import RECORD, nominal_record
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, tilted
-from vehicle_sbi.physics.simulation import Motions, batch_simulator, substeps_for
+from vehicle_sbi.physics.simulation import FINISHED, Motions, batch_simulator, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.tyre import dugoff
 from vehicle_sbi.physics.vehicle import GRAVITY, Vehicle
-from vehicle_sbi.physics.window import FINISHED
 from vehicle_sbi.report.tables import markdown
 
 RESULT = Path(__file__).resolve().parent / "results" / "multibody.md"

@@ -8,12 +8,10 @@ import numpy as np
 from numba import njit
 
 from vehicle_sbi.physics.effects import RECORD, derive, nominal_record
-from vehicle_sbi.physics.runge_kutta import drive_through
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, MOTION
-from vehicle_sbi.physics.simulation import MODELS, Motions, batch_simulator
+from vehicle_sbi.physics.simulation import FINISHED, MODELS, Motions, batch_simulator, drive_through
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS, TIME, U_LATENT
 from vehicle_sbi.physics.vehicle import Vehicle
-from vehicle_sbi.physics.window import FINISHED
 
 # The constants of the design's closed forms; rigid tyres without relaxation.
 RIGID = Vehicle(
@@ -164,13 +162,12 @@ def simulate(
     stiffness_noise: np.ndarray | None = None,
     input_noise: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """All MEASUREMENTS of n records over one window, (n, 10, time), and their outcomes (n,); u (time, 9). The first
-    record says how they are integrated."""
+    """All MEASUREMENTS of n records over one window, (n, 10, time), and their outcomes (n,); u (time, 9)."""
     speed_group = "wheel_speed" if drive == "wheel_speed" else "can"
     n = len(records)
     start = np.broadcast_to(np.asarray(initial, dtype=float), (n, 1, 3)).copy()
     y, outcomes = np.empty((n, len(MEASUREMENTS), len(u))), np.full(n, -1)
-    batch_simulator(model, implicit=bool(records["implicit"][0]))(
+    batch_simulator(model)(
         records.copy(),
         Motions.each(n),
         DRIVES[drive],

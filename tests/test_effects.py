@@ -20,10 +20,9 @@ from vehicle_sbi.physics.effects import (
     nominal_record,
 )
 from vehicle_sbi.physics.sensors import MOTION
-from vehicle_sbi.physics.simulation import MODELS, substeps_for
+from vehicle_sbi.physics.simulation import FINISHED, MODELS, NOT_FINITE, SPUN_OUT, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS
-from vehicle_sbi.physics.window import FINISHED, NOT_FINITE, SPUN_OUT
 
 G, SECONDS = 9.81, 4.0  # [m/s^2]; of the exciting manoeuvre
 A_X, A_Y, YAW, OMEGA_F, OMEGA_R, V_X, V_Y = range(7)  # of the rows of MEASUREMENTS

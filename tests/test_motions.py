@@ -6,9 +6,8 @@ from cars import PAPER, RATE, REPORTED_BY, V, exciting, record_of
 
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
-from vehicle_sbi.physics.simulation import SENSOR_FIELDS, Motions, batch_simulator
+from vehicle_sbi.physics.simulation import FINISHED, SENSOR_FIELDS, Motions, batch_simulator
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
-from vehicle_sbi.physics.window import FINISHED
 
 N = 12
 MOVING = {"steering_ratio_gain": 1.1, "aero_drag_area": 0.5, "l_f": 1.2}

@@ -11,7 +11,7 @@ from studies import QUIET, constant_noise, manoeuvre, paper_process, repeated, s
 from vehicle_sbi.data.noise import MeasurementNoise
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.simulator import STIFFNESSES, Simulator, succeeded, use_cores
-from vehicle_sbi.physics.window import SPUN_OUT
+from vehicle_sbi.physics.simulation import SPUN_OUT
 from vehicle_sbi.rng import Stream
 
 N = 24

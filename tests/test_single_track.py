@@ -31,11 +31,10 @@ from hypothesis import strategies as st
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, derive
 from vehicle_sbi.physics.sensors import MEASUREMENTS
-from vehicle_sbi.physics.simulation import substeps_for
+from vehicle_sbi.physics.simulation import FINISHED, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS, STATES, start
 from vehicle_sbi.physics.tyre import dugoff_side
 from vehicle_sbi.physics.vehicle import GENERIC_PRIORS
-from vehicle_sbi.physics.window import FINISHED
 
 A_X, A_Y, R, OMEGA_F, OMEGA_R, V_X, V_Y = range(7)  # of the rows of MEASUREMENTS
 EPS = np.finfo(float).eps

@@ -26,8 +26,8 @@ from vehicle_sbi.data.readers import read as read_recording
 from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.features import Handcrafted
 from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.physics.simulation import FINISHED
 from vehicle_sbi.physics.vehicle import read as read_vehicle
-from vehicle_sbi.physics.window import FINISHED
 from vehicle_sbi.rng import Stream
 
 ROUNDS = 3  # of fit and noise

@@ -18,9 +18,8 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.spike_slab import SpikeAndSlab
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
-from vehicle_sbi.physics.simulation import SENSOR_FIELDS, Motions, batch_simulator
+from vehicle_sbi.physics.simulation import FINISHED, SENSOR_FIELDS, Motions, batch_simulator
 from vehicle_sbi.physics.single_track import DRIVES
-from vehicle_sbi.physics.window import FINISHED
 from vehicle_sbi.rng import Stream, generator
 
 
@@ -145,7 +144,7 @@ class Simulator:
         """Noise-free measurements (n, channels, time), NaN where a simulation failed, and outcomes (n,)."""
         y = np.empty((len(theta), *self.shape), dtype)
         outcomes, records = np.zeros(len(theta), np.int64), self._records(theta, draws.effects)
-        batch_simulator(self.model, implicit=self.drive == "torque" and self.nominal["implicit"] != 0.0)(
+        batch_simulator(self.model)(
             records,
             self._motions(records, draws),
             DRIVES[self.drive],

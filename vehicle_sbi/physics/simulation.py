@@ -3,6 +3,7 @@
 MODELS says which equations of motion are integrated; inputs, effects, sensors and the integrator are the same for all.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from functools import cache
 from types import ModuleType
@@ -12,10 +13,9 @@ import numpy as np
 from numba import njit, prange
 
 from vehicle_sbi.compiled import compiled, compiled_apart
-from vehicle_sbi.physics import full_vehicle, rosenbrock, runge_kutta, single_track
+from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.effects import CATALOGUE, LEAST_LAG, derive, latent_sensor, latent_steering, steer, torques
-from vehicle_sbi.physics.rosenbrock import IMPLICIT_STEP, SHORTER
-from vehicle_sbi.physics.runge_kutta import STAGES
+from vehicle_sbi.physics.integrator import STAGES, approach, take, turn_of, when, workspace
 from vehicle_sbi.physics.sensors import (
     MEASUREMENTS,
     MOTION,
@@ -39,11 +39,14 @@ from vehicle_sbi.physics.single_track import (
     U_V_X,
     U_V_X_DOT,
     WHEEL_SPEED,
+    regular,
 )
 from vehicle_sbi.physics.vehicle import GRAVITY
-from vehicle_sbi.physics.window import FINISHED
 
 MODELS: Mapping[str, ModuleType] = {"single_track": single_track, "full_vehicle": full_vehicle}
+V_X, V_Y = 0, 1  # the first states of every model
+
+FINISHED, SPUN_OUT, NOT_FINITE = 0, 1, 2
 SENSOR_FIELDS = frozenset(
     name
     for effect in CATALOGUE.values()
@@ -52,7 +55,85 @@ SENSOR_FIELDS = frozenset(
     for name in p.fields
 ) | {"latent_sensor", "latent_row"}  # what sensors make of a motion
 REPORTED_FIELDS = frozenset(name for name in SENSOR_FIELDS if name.startswith(("sensor_lag", "sensor_delay")))
+SHORTER = 0.6  # of the explicit method's bound, that of what the implicit one leaves explicit
+IMPLICIT_STEP = 5e-3  # [s] at most, in which a tyre swings against its wheel by 1.2 rad (250 rad/s on 0.3 m)
 RIGID = 4.0  # times the fastest mode without relaxation, from which a lag of that rate hardly changes it
+
+
+@compiled
+def blend(u, k: int, share: float, out) -> None:
+    """The inputs at `share` of the way from sample k to the next, linear between samples; u (time, 9)."""
+    following = min(k + 1, u.shape[0] - 1)
+    for i in range(u.shape[1]):
+        out[i] = u[k, i] + share * (u[following, i] - u[k, i])
+
+
+@compiled_apart
+def perturb(p, C, stiffness_noise, k: int) -> None:
+    """Stiffnesses of sample k: C (C_kappa_f, C_kappa_r, C_alpha_f, C_alpha_r) [N, N/rad] and a draw (draws, 4) each."""
+    p.C_kappa_f = C[0] + stiffness_noise[k, 0]
+    p.C_kappa_r = C[1] + stiffness_noise[k, 1]
+    p.C_alpha_f = C[2] + stiffness_noise[k, 2]
+    p.C_alpha_r = C[3] + stiffness_noise[k, 3]
+    derive(p)
+
+
+@compiled
+def outcome_at(motion, k: int) -> int:
+    """FINISHED while MOTION at sample k is all numbers and the car goes forwards rather than sideways."""
+    total = 0.0
+    for i in range(motion.shape[1]):
+        total += motion[k, i]
+    if not math.isfinite(total):
+        return NOT_FINITE
+    return SPUN_OUT if abs(motion[k, V_Y]) > regular(motion[k, V_X]) else FINISHED
+
+
+@compiled
+def stiff_states(model, p, drive: int):
+    """The states in which steps are implicit: none, or those by which wheels slip where torques drive them."""
+    if drive != TORQUE or p.implicit == 0.0:
+        return np.zeros(0, np.int64)
+    lagged = p.sigma_f > 0.0 or p.sigma_r > 0.0
+    return np.array(model.STIFF + model.LAGGED)[: len(model.STIFF) + (len(model.LAGGED) if lagged else 0)]
+
+
+@compiled_apart
+def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps: int, initial, motion) -> int:
+    """Integrate one window and record MOTION at every sample; returns FINISHED, SPUN_OUT or NOT_FINITE.
+
+    Between samples are `substeps` steps of the `integrator`, inputs being linear. stiffness_noise (draws, 4) is added
+    to (C_kappa_f, C_kappa_r, C_alpha_f, C_alpha_r) [N, N/rad]: one draw for the whole window, or one per sample. The
+    rate that is found in one turn is where the next one's loops start. All turns share one call of the equations of
+    motion, which is then compiled in place: a quarter of the code, and arrays without reference counts.
+    """
+    C = (p.C_kappa_f, p.C_kappa_r, p.C_alpha_f, p.C_alpha_r)
+    state, trial, rate = np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES)
+    now, h, outcome = np.zeros(u.shape[1]), dt / substeps, FINISHED
+    work = workspace(model.STATES, stiff_states(model, p, drive))
+    columns = len(work.stiff)
+    turns = columns + STAGES
+    p.step = h if columns == 0 else h / SHORTER  # slips that lag are left explicit but for what they do to wheels
+    p.split_f = p.split_r = p.slope_f = p.slope_r = 0.0
+    for evaluation in range(turns * substeps * (u.shape[0] - 1) + 1):
+        step, turn = evaluation // turns, turn_of(evaluation % turns, columns)
+        k, sampled = step // substeps, evaluation % (turns * substeps) == 0
+        blend(u, k, (step % substeps + when(turn, columns)) / substeps, now)
+        if sampled and k < len(stiffness_noise):
+            perturb(p, C, stiffness_noise, k)
+        if evaluation == 0:
+            model.start(p, drive, now, initial, state)
+        approach(work, turn, state, model.SLIPS, h, trial)
+        model.impose(p, drive, now, trial)
+        model.derivatives(p, drive, now, trial, rate)
+        if sampled:
+            model.record(p, drive, now, trial, rate, motion, k)
+            outcome = outcome_at(motion, k)
+            if outcome != FINISHED:
+                break
+        take(work, turn, rate, model.SLIPS, h, state)
+    p.C_kappa_f, p.C_kappa_r, p.C_alpha_f, p.C_alpha_r = C
+    return outcome
 
 
 @compiled_apart
@@ -95,7 +176,6 @@ def fail(y) -> None:
 @compiled_apart
 def simulate(
     model,
-    method,
     records,
     members,
     drive: int,
@@ -124,9 +204,7 @@ def simulate(
     for w in range(windows):
         actuate(p, u[w], input_noise, rate, acting)
         measured_speeds(p, drive, speed_group, u[w], rate, acting)
-        outcome = method.drive_through(
-            model, p, drive, acting, stiffness_noise, 1.0 / rate, substeps[w], initial[w], motion
-        )
+        outcome = drive_through(model, p, drive, acting, stiffness_noise, 1.0 / rate, substeps[w], initial[w], motion)
         if outcome != FINISHED:
             for member in members:
                 fail(y[member])
@@ -150,12 +228,12 @@ def sense(p, motion, t, rate: float, u, channels, groups, reading, y, first: int
 
 
 @cache
-def batch_simulator(model: str, *, implicit: bool = False) -> Callable[..., None]:
-    """Simulations of one of MODELS in parallel, in explicit or implicit steps, compiled when first called: a function
-    of records (n,), the Motions that they share, the drive mode, the group of its speeds, u (windows, time, 9),
-    stiffness_noise (n, draws, 4), input_noise (n, draws, 2), rate [Hz], substeps (windows,), initial (n, windows, 3),
-    channels, groups, that fills y (n, channels, windows * time) and outcomes (n,)."""
-    equations, method = MODELS[model], rosenbrock if implicit else runge_kutta
+def batch_simulator(model: str) -> Callable[..., None]:
+    """Simulations of one of MODELS in parallel, compiled when first called: a function of records (n,), the Motions
+    that they share, the drive mode, the group of its speeds, u (windows, time, 9), stiffness_noise (n, draws, 4),
+    input_noise (n, draws, 2), rate [Hz], substeps (windows,), initial (n, windows, 3), channels, groups, that fills y
+    (n, channels, windows * time) and outcomes (n,)."""
+    equations = MODELS[model]
 
     @njit(cache=True, error_model="numpy", parallel=True)
     def simulate_batch(
@@ -179,7 +257,6 @@ def batch_simulator(model: str, *, implicit: bool = False) -> Callable[..., None
             first = members[0]
             outcome = simulate(
                 equations,
-                method,
                 records,
                 members,
                 drive,
