@@ -34,7 +34,7 @@ from vehicle_sbi.inference.informative import (
     informations,
     most_informative,
 )
-from vehicle_sbi.inference.setup import stepped
+from vehicle_sbi.inference.setup import substeps
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.study import MOST_READINGS
 from vehicle_sbi.physics.effects import nominal_record
@@ -158,7 +158,7 @@ def test_each_window_is_integrated_in_the_steps_that_its_own_lowest_speed_needs(
     x0 = sim.windows.x0.copy()
     x0[1, 0] = 1.2
     crawling = replace(sim, nominal=nominal_record(RIGID), windows=replace(sim.windows, u=u, x0=x0))
-    crawling = stepped(crawling)
+    crawling = replace(crawling, substeps=substeps(crawling))
     steps = crawling.substeps
     assert isinstance(steps, np.ndarray)
     assert steps[1] > 5 * steps[0]

@@ -74,50 +74,6 @@ def test_convergence_is_of_fourth_order(drive: str, model: str) -> None:
     assert ((slopes > 3.7) & (slopes < 4.3)).all(), slopes
 
 
-def implicit(records: np.ndarray) -> np.ndarray:
-    """The same, integrated in linearly implicit steps."""
-    records["implicit"] = 1.0
-    return records
-
-
-@every_model
-def test_implicit_steps_converge_of_third_order(model: str) -> None:
-    # Whatever columns of the Jacobian they know. Wheels oscillate with 250 rad/s on their tyres, so these steps of 2.5
-    # to 0.6 ms resolve them; the truth's explicit ones err by a thousandth of that.
-    u, initial, states = smooth_inputs(2.0)[:: round(RATE / 50.0)], (10.5, 0.1, 0.02), [A_X, A_Y, R, OMEGA_F, V_X, V_Y]
-    truth = finished(record_of(PAPER), "torque", u, initial, model=model, rate=50.0, substeps=256)
-    errors = [
-        np.abs(finished(implicit(record_of(PAPER)), "torque", u, initial, model=model, rate=50.0, substeps=n) - truth)
-        for n in (8, 16, 32)
-    ]
-    largest = np.max(errors, axis=2)[:, states]
-    slopes = np.log2(largest[:-1] / largest[1:])
-    assert ((slopes > 2.7) & (slopes < 3.3)).all(), slopes
-
-
-def test_implicit_steps_of_two_a_sample_do_what_hundreds_of_explicit_ones_do_of_light_wheels_on_stiff_tyres() -> None:
-    light = replace(RIGID, C_kappa_f=4e5, C_kappa_r=4e5, I_wf=0.5, I_wr=0.5)
-    u, initial = smooth_inputs(2.0)[:: round(RATE / 50.0)], (6.0, 0.0, 0.0)
-    needed = substeps_for(record_of(light), "torque", 5.0, 50.0)
-    assert needed > 250
-    truth = finished(record_of(light), "torque", u, initial, rate=50.0, substeps=needed)
-    y = finished(implicit(record_of(light)), "torque", u, initial, rate=50.0, substeps=2)
-    rows = [A_X, A_Y, R, OMEGA_F, OMEGA_R, V_X]
-    # Steps of 10 ms at 40 rad/s, the fastest that is left: 0.4^4 / 4! is 1e-3 of what moves.
-    assert (np.abs(y - truth)[rows].max(axis=1) < 2e-3 * np.ptp(truth[rows], axis=1)).all()
-
-
-def test_implicit_steps_bear_wheels_that_lock() -> None:
-    # Brakes beyond the grip: past the tyre's peak a column of the Jacobian would drive the wheel on.
-    records = implicit(record_of(PAPER, tyre_curve_longitudinal=1.0, tyre_curve_peak=1.0))
-    u = coasting(15.0, 1.0)[:: round(RATE / 50.0)].copy()
-    u[:, [INPUTS.index("torque_front"), INPUTS.index("torque_rear")]] = -6000.0
-    y = finished(records, "torque", u, (15.0, 0.0, 0.0), rate=50.0, substeps=4)
-    fine = finished(records, "torque", u, (15.0, 0.0, 0.0), rate=50.0, substeps=64)
-    assert fine[OMEGA_F, -1] < 0.2 * fine[OMEGA_F, 0]
-    np.testing.assert_allclose(y[V_X], fine[V_X], atol=0.01 * np.ptp(fine[V_X]))
-
-
 FREE = {
     ("single_track", "torque"): tuple(range(9)),
     ("single_track", "wheel_speed"): (0, 1, 2, 5, 6, 7, 8),

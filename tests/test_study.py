@@ -1,6 +1,5 @@
 """From what a user configures to a problem: synthetic or recorded, reproducible from the seed, refused where wrong."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
@@ -19,7 +18,7 @@ from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Score
-from vehicle_sbi.inference.setup import _integrated, _slowest_believed, _substeps, _turns, slowest
+from vehicle_sbi.inference.setup import _slowest_believed, slowest
 from vehicle_sbi.inference.study import Study
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.physics.simulation import fastest_rate
@@ -197,30 +196,12 @@ def test_a_wrong_manoeuvre_is_one_clear_line(case: str) -> None:
 def test_steps_are_short_enough_for_every_corner_of_the_prior() -> None:
     # All 32 corners of a box whose fastest car, light front wheels on stiff tyres, is neither its low nor its high end.
     prior = {"l_f": [1.0, 1.5], "I_wf": [0.5, 5.0], "C_kappa_f": [5e4, 4e5], "C_alpha_f": [4e4, 1.2e5], "m": [800, 2e3]}
-    sim = _integrated(study(prior=prior, truth=None).prepare().problem.simulator, implicit=False)
+    sim = study(prior=prior, truth=None).prepare().problem.simulator
     records = sim.space.records(np.array(list(product(*zip(sim.space.low, sim.space.high, strict=True)))), sim.nominal)
     middle = (sim.space.low + sim.space.high)[None] / 2
-    v_min = slowest(sim, middle).min(axis=1)
-    fastest = [fastest_rate(record, sim.drive, float(v_min[0]), sim.model) for record in records]
-    assert (max(fastest) <= sim.windows.rate * _substeps(sim, v_min, 1.0)).all()
+    fastest = [fastest_rate(record, sim.drive, float(slowest(sim, middle).min()), sim.model) for record in records]
+    assert max(fastest) <= sim.windows.rate * sim.substeps
     assert max(fastest) > 1.1 * max(fastest[0], fastest[-1])
-
-
-def test_steps_are_implicit_where_that_asks_the_equations_of_motion_less_often() -> None:
-    # Light wheels on tyres that do not relax turn too fast for anything else; on such that do they swing, and have to
-    # be followed.
-    prior = {"l_f": [1.0, 1.5]}
-    rigid, relaxed = (replace(PAPER, I_wf=0.5, I_wr=0.5, K=K) for K in (math.inf, 1e5))
-    quick, swinging = (
-        study(vehicle=car, prior=prior, truth=None).prepare().problem.simulator for car in (rigid, relaxed)
-    )
-    assert quick.nominal["implicit"] == 1.0
-    assert swinging.nominal["implicit"] == 0.0
-    theta, explicit = np.array([[1.2]]), _integrated(quick, implicit=False)
-    explicit = replace(explicit, substeps=_substeps(explicit, slowest(quick, theta)[0], 1.0))
-    assert _turns(explicit) > 2 * _turns(quick)
-    # The manoeuvre's torque jumps by 3 m/s^2 within a sample, and 3e-3 of that is missed there.
-    np.testing.assert_allclose(quick.noise_free(theta), explicit.noise_free(theta), atol=1e-2)
 
 
 def test_where_the_prior_s_centre_spins_out_the_speed_is_that_of_cars_that_do_not() -> None:

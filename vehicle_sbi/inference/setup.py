@@ -23,7 +23,7 @@ from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import nominal_record
 from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS
-from vehicle_sbi.physics.simulation import MODELS, fastest_rate, substeps_for, turns_for
+from vehicle_sbi.physics.simulation import MODELS, fastest_rate, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.rng import Stream, generator
@@ -119,7 +119,7 @@ class Setup:
             substeps=FIRST_SUBSTEPS,
             seed=self.seed,
         )
-        return stepped(simulator, stiffest)
+        return replace(simulator, substeps=substeps(simulator, stiffest))
 
     def _nominal(self, space: ParameterSpace, duration: float) -> np.void:
         """The vehicle's constants; one that is neither stated nor free, as nothing recorded depends on it, as of a
@@ -147,46 +147,11 @@ def _slowest_believed(simulator: Simulator) -> Float[np.ndarray, " windows"]:
     return np.median(driven, axis=0) if len(driven) else np.full(drawn.shape[1], CRAWL)
 
 
-def stepped(simulator: Simulator, stiffest: float = 1.0) -> Simulator:
-    """With as many steps of the integrator a sample as the lowest speed of each window needs in all of the prior;
-    implicit where that asks the equations of motion less often."""
-    ways = _ways(simulator)
-    v_min = _slowest_believed(ways[-1])
-    return min((replace(way, substeps=_substeps(way, v_min, stiffest)) for way in ways), key=_turns)
-
-
-def lighter(
-    simulator: Simulator, theta: Float[np.ndarray, " d"], v_min: Float[np.ndarray, " windows"], limit: float
-) -> Simulator:
-    """With steps that suffice for some parameters at the lowest speed [m/s] of each window, if they ask less often."""
-    enough = [replace(way, substeps=steps_at(way, theta[None], v_min, limit)) for way in _ways(simulator)]
-    return min((simulator, *enough), key=_turns)
-
-
-def _ways(simulator: Simulator) -> list[Simulator]:
-    """In explicit steps and, where torques drive wheels, in implicit ones."""
-    tried = (False, True) if simulator.drive == "torque" else (False,)
-    return [_integrated(simulator, implicit=implicit) for implicit in tried]
-
-
-def _integrated(simulator: Simulator, *, implicit: bool) -> Simulator:
-    """In steps that are implicit, where torques drive wheels, or explicit."""
-    nominal = simulator.nominal.copy()
-    nominal["implicit"] = float(implicit)
-    return replace(simulator, nominal=nominal)
-
-
-def _turns(simulator: Simulator) -> int:
-    """How often the equations of motion are asked in one sample of each window."""
-    implicit = bool(simulator.nominal["implicit"])
-    steps = np.full(len(simulator.windows.u), simulator.substeps)
-    return sum(turns_for(simulator.model, simulator.drive, implicit, int(n)) for n in steps)
-
-
-def _substeps(simulator: Simulator, v_min: Float[np.ndarray, " windows"], limit: float) -> Int[np.ndarray, " windows"]:
-    """As many as the lowest speed [m/s] of each window needs in all of the prior."""
+def substeps(simulator: Simulator, stiffest: float = 1.0) -> Int[np.ndarray, " windows"]:
+    """Steps of the integrator a sample in each window: as many as its lowest speed needs in all of the prior."""
+    v_min = _slowest_believed(simulator)
     corners = [_fastest_corners(simulator, float(v)) for v in (v_min.min(), v_min.max())]
-    return steps_at(simulator, np.concatenate(corners), v_min, limit)
+    return steps_at(simulator, np.concatenate(corners), v_min, stiffest)
 
 
 def steps_at(

@@ -242,9 +242,9 @@ _DERIVED = (
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
 
-# What is the integrator's own: whether its steps are implicit where torques drive wheels, how long they are [s], and
-# how the search of each axle for its wheels' slips goes on from one to the next.
-OWN = ("implicit", "step", "split_f", "split_r", "slope_f", "slope_r", "search")
+# What the integrator keeps from one step to the next: its step [s], and how the search of each axle for its wheels'
+# slips goes on.
+OWN = ("step", "split_f", "split_r", "slope_f", "slope_r", "search")
 
 # What no effect stands for, following the input `latent` over time: a load on the body [N, N, N m], an error of the
 # road wheels' angle [rad], and one of a sensor, that of a row of MEASUREMENTS [its unit].

@@ -50,9 +50,6 @@ WHEELS = 4  # front left, front right, rear left, rear right
 STATES = 7 + 3 * WHEELS
 V_X, V_Y, R, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(7)
 OMEGA, KAPPA, ALPHA = 7, 7 + WHEELS, 7 + 2 * WHEELS  # the first of four each
-STIFF = (V_X, R, *range(OMEGA, KAPPA))  # states between which wheels that roll slip, and slips that lag
-LAGGED = (*range(KAPPA, ALPHA),)
-SLIPS = KAPPA  # the first state that is a slip
 
 
 @compiled

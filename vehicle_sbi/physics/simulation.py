@@ -14,8 +14,7 @@ from numba import njit, prange
 
 from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics import full_vehicle, single_track
-from vehicle_sbi.physics.effects import CATALOGUE, LEAST_LAG, derive, latent_sensor, latent_steering, steer, torques
-from vehicle_sbi.physics.integrator import STAGES, approach, take, turn_of, when, workspace
+from vehicle_sbi.physics.effects import CATALOGUE, derive, latent_sensor, latent_steering, steer, torques
 from vehicle_sbi.physics.sensors import (
     MEASUREMENTS,
     MOTION,
@@ -55,8 +54,6 @@ SENSOR_FIELDS = frozenset(
     for name in p.fields
 ) | {"latent_sensor", "latent_row"}  # what sensors make of a motion
 REPORTED_FIELDS = frozenset(name for name in SENSOR_FIELDS if name.startswith(("sensor_lag", "sensor_delay")))
-SHORTER = 0.6  # of the explicit method's bound, that of what the implicit one leaves explicit
-IMPLICIT_STEP = 5e-3  # [s] at most, in which a tyre swings against its wheel by 1.2 rad (250 rad/s on 0.3 m)
 RIGID = 4.0  # times the fastest mode without relaxation, from which a lag of that rate hardly changes it
 
 
@@ -66,6 +63,13 @@ def blend(u, k: int, share: float, out) -> None:
     following = min(k + 1, u.shape[0] - 1)
     for i in range(u.shape[1]):
         out[i] = u[k, i] + share * (u[following, i] - u[k, i])
+
+
+@compiled
+def advance(state, rate, h: float, out) -> None:
+    """out = state + h rate."""
+    for i in range(len(state)):
+        out[i] = state[i] + h * rate[i]
 
 
 @compiled_apart
@@ -89,41 +93,32 @@ def outcome_at(motion, k: int) -> int:
     return SPUN_OUT if abs(motion[k, V_Y]) > regular(motion[k, V_X]) else FINISHED
 
 
-@compiled
-def stiff_states(model, p, drive: int):
-    """The states in which steps are implicit: none, or those by which wheels slip where torques drive them."""
-    if drive != TORQUE or p.implicit == 0.0:
-        return np.zeros(0, np.int64)
-    lagged = p.sigma_f > 0.0 or p.sigma_r > 0.0
-    return np.array(model.STIFF + model.LAGGED)[: len(model.STIFF) + (len(model.LAGGED) if lagged else 0)]
-
-
 @compiled_apart
 def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps: int, initial, motion) -> int:
     """Integrate one window and record MOTION at every sample; returns FINISHED, SPUN_OUT or NOT_FINITE.
 
-    Between samples are `substeps` steps of the `integrator`, inputs being linear. stiffness_noise (draws, 4) is added
-    to (C_kappa_f, C_kappa_r, C_alpha_f, C_alpha_r) [N, N/rad]: one draw for the whole window, or one per sample. The
-    rate that is found in one turn is where the next one's loops start. All turns share one call of the equations of
-    motion, which is then compiled in place: a quarter of the code, and arrays without reference counts.
+    Between samples `substeps` classical Runge-Kutta steps of fourth order, inputs being linear. stiffness_noise
+    (draws, 4) is added to (C_kappa_f, C_kappa_r, C_alpha_f, C_alpha_r) [N, N/rad]: one draw for the whole window, or
+    one per sample. The rate of one stage is where the next one's loops start. The four stages share one call of the
+    equations of motion, which is then compiled in place: a quarter of the code, and arrays without reference counts.
     """
     C = (p.C_kappa_f, p.C_kappa_r, p.C_alpha_f, p.C_alpha_r)
-    state, trial, rate = np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES)
+    state, trial, rate, total = (
+        np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES),
+    )  # fmt: skip
     now, h, outcome = np.zeros(u.shape[1]), dt / substeps, FINISHED
-    work = workspace(model.STATES, stiff_states(model, p, drive))
-    columns = len(work.stiff)
-    turns = columns + STAGES
-    p.step = h if columns == 0 else h / SHORTER  # slips that lag are left explicit but for what they do to wheels
+    p.step = h
     p.split_f = p.split_r = p.slope_f = p.slope_r = 0.0
-    for evaluation in range(turns * substeps * (u.shape[0] - 1) + 1):
-        step, turn = evaluation // turns, turn_of(evaluation % turns, columns)
-        k, sampled = step // substeps, evaluation % (turns * substeps) == 0
-        blend(u, k, (step % substeps + when(turn, columns)) / substeps, now)
+    for evaluation in range(4 * substeps * (u.shape[0] - 1) + 1):
+        step, stage = evaluation // 4, evaluation % 4
+        k, share = step // substeps, 0.5 * ((stage + 1) // 2)
+        sampled = evaluation % (4 * substeps) == 0
+        blend(u, k, (step % substeps + share) / substeps, now)
         if sampled and k < len(stiffness_noise):
             perturb(p, C, stiffness_noise, k)
         if evaluation == 0:
             model.start(p, drive, now, initial, state)
-        approach(work, turn, state, model.SLIPS, h, trial)
+        advance(state, rate, share * h, trial)
         model.impose(p, drive, now, trial)
         model.derivatives(p, drive, now, trial, rate)
         if sampled:
@@ -131,7 +126,10 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
             outcome = outcome_at(motion, k)
             if outcome != FINISHED:
                 break
-        take(work, turn, rate, model.SLIPS, h, state)
+        weight = h / 6.0 if stage % 3 == 0 else h / 3.0
+        for i in range(model.STATES):
+            total[i] = weight * rate[i] + (trial[i] if stage == 0 else total[i])
+            state[i] = total[i] if stage == 3 else state[i]
     p.C_kappa_f, p.C_kappa_r, p.C_alpha_f, p.C_alpha_r = C
     return outcome
 
@@ -312,7 +310,6 @@ def fastest_rate(record: np.void, drive: str, v_min: float, model: str = "single
     d becomes s^2 + c s + c d = 0, whose roots are sqrt(c d) where they oscillate and below c where they do not; from
     c = 4 d on the slower one is that of the body, and the lag itself is no faster than its share allows. In the
     full vehicle the tyres move less than all of m, the body swinging on its springs; it does so against the rest.
-    Implicit steps need not follow the wheels' modes, but where relaxation lets them swing.
     """
     records, v = np.array([record]), max(v_min, 1.0)
     derive(records[0])
@@ -338,12 +335,8 @@ def fastest_rate(record: np.void, drive: str, v_min: float, model: str = "single
         along = rigid[1] + turning
         rigid += [along + p[f"R_{a}"] ** 2 * C_kappa[a[0]] / (p[f"I_w{a[0]}"] * v) for a in ("front", "rear")]
     sigma = min(p["sigma_f"], p["sigma_r"])
-    implicit = drive == "torque" and p["implicit"] != 0.0
-    left = rigid[:1] if implicit else rigid
-    lag = 0.0 if sigma == 0.0 else min(v / sigma, RIGID * max(left))
-    behind = [*left] if sigma == 0.0 else [lag, np.sqrt(lag * max(left))]
-    if implicit and sigma > LEAST_LAG * v * IMPLICIT_STEP:
-        behind.append(np.sqrt(v / sigma * max(rigid)))
+    lag = 0.0 if sigma == 0.0 else min(v / sigma, RIGID * max(rigid))
+    behind = rigid if sigma == 0.0 else [lag, np.sqrt(lag * max(rigid))]
     return max([*swinging, *behind])
 
 
@@ -356,20 +349,10 @@ def _faster_root(trace: float, determinant: float) -> float:
 def substeps_for(
     records: np.ndarray, drive: str, v_min: float, rate: float, limit: float = 1.0, model: str = "single_track"
 ) -> int:
-    """Steps per sample so that step times fastest eigenvalue stays below `limit` for every record.
+    """Runge-Kutta steps per sample so that step times fastest eigenvalue stays below `limit` for every record.
 
-    At 1 the explicit method is far inside its stability bound of 2.6 and its error per step in that mode is below 1/5!
-    of the mode's amplitude, in the modes that matter to the sensors orders of magnitude less. What the implicit one
-    leaves explicit is bounded by 1.6, so its steps are as much shorter, and no longer than IMPLICIT_STEP.
+    At 1 the fourth-order method is far inside its stability bound of 2.78 and its error per step in that mode is
+    below 1/5! of the mode's amplitude, in the modes that matter to the sensors orders of magnitude less.
     """
     fastest = max(fastest_rate(record, drive, v_min, model) for record in records)
-    if drive == "torque" and records["implicit"].any():
-        return int(np.ceil(max(fastest / (SHORTER * rate * limit), 1.0 / (rate * IMPLICIT_STEP))))
     return max(1, int(np.ceil(fastest / (rate * limit))))
-
-
-def turns_for(model: str, drive: str, implicit: bool, substeps: int) -> int:
-    """How often the equations of motion are asked a sample, slips lagging."""
-    equations = MODELS[model]
-    stiff = len(equations.STIFF) + len(equations.LAGGED) if implicit and drive == "torque" else 0
-    return (stiff + STAGES) * substeps

@@ -31,9 +31,6 @@ DELTA, T_F, T_R, U_V_X, U_V_X_DOT, U_OMEGA_F, U_OMEGA_R, TIME, U_LATENT = range(
 
 STATES = 9
 V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_F, ALPHA_R = range(STATES)
-STIFF = (V_X, OMEGA_F, OMEGA_R)  # states between which wheels that roll slip, and slips that lag
-LAGGED = (KAPPA_F, KAPPA_R)
-SLIPS = KAPPA_F  # the first state that is a slip
 
 STEEPEST = 1.5  # [rad], the largest slip angle whose tangent is taken
 

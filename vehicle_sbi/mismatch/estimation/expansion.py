@@ -10,12 +10,11 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from vehicle_sbi.inference.directions import Direction, null
 from vehicle_sbi.inference.effect_prior import EffectPrior
-from vehicle_sbi.inference.setup import lighter, slowest
-from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.inference.setup import slowest, steps_at
 from vehicle_sbi.mismatch.estimation.fit import DAMPING, Fit, Shrinkage, descend, onwards, relinearised, with_own_noise
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter, ParameterSpace
@@ -144,7 +143,9 @@ class Expansion:
 
     def observed(self, base: Fit) -> Observation:
         """What the base model was fitted to, with all of this free, in steps as long as the fit allows."""
-        return base.observation.extended(_lighter(base)).freeing(self.space.parameters)
+        simulator = base.simulator
+        lighter = replace(simulator, substeps=np.minimum(simulator.substeps, _substeps(base)))
+        return base.observation.extended(lighter).freeing(self.space.parameters)
 
     def fitted(
         self, observation: Observation, start: Float[np.ndarray, " d"], rms: Float[np.ndarray, " sizes"]
@@ -222,12 +223,12 @@ def _log_posterior(fit: Fit) -> float:
     return fit.log_likelihood - float(fit.pulled(fit.theta[None])[0])
 
 
-def _lighter(fit: Fit) -> Simulator:
-    """In steps that suffice for stiffnesses a little above those that were fitted."""
+def _substeps(fit: Fit) -> Int[np.ndarray, " windows"]:
+    """Of the integrator, for stiffnesses a little above those that were fitted."""
     simulator, space = fit.simulator, fit.simulator.space
     stiff = np.array([p.name.startswith("C_") for p in space.parameters])
     theta = np.clip(np.where(stiff, STIFFER, 1.0) * fit.theta, space.low, space.high)
-    return lighter(simulator, theta, slowest(simulator, fit.theta[None])[0], STABLE)
+    return steps_at(simulator, theta[None], slowest(simulator, fit.theta[None])[0], STABLE)
 
 
 def _middle(p: Parameter) -> float:

@@ -41,8 +41,7 @@ def extended(base: Fit, pruned: Pruned | None, alike: Sequence[Sequence[str]], *
 def with_effects(base: Fit, pruned: Pruned, effects: Collection[str]) -> Model | None:
     """The base model with some effects, by the sizes that each mostly has; None if it cannot be simulated."""
     expansion = pruned.expansion.only(_sizes(pruned, effects))
-    integrated = pruned.fit.simulator
-    simulator = replace(base.simulator, substeps=integrated.substeps, nominal=integrated.nominal)
+    simulator = replace(base.simulator, substeps=pruned.fit.simulator.substeps)
     observation = base.observation.extended(simulator).freeing(expansion.space.parameters)
     *near, null = _starts(base, pruned, expansion)
     fit = expansion.likeliest(observation, np.full(len(expansion.sizes), WIDER), near=near, far=[null])
