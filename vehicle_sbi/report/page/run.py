@@ -73,10 +73,9 @@ def lines(table: pd.DataFrame) -> list[str]:
     values = [f"{name} = {_value(mean, std, of)}" for name, mean, std, of in rows]
     more = [f"and {len(values) - SPELLED} more"] if len(values) > SPELLED else []
     said = [raised(f"{'; '.join([*values[:SPELLED], *more])}.")] if values else []
-    unknown = {why: [] for why in (NOT_IDENTIFIED, NOT_LEARNED)}
-    for name, why in zip(table["parameter"], unidentified(table), strict=True):
-        unknown.get(why, []).append(name)
-    return [*said, *(f"{why.capitalize()}: {', '.join(names)}." for why, names in unknown.items() if names)]
+    reasons = np.array(unidentified(table))
+    unknown = {why: table["parameter"][reasons == why] for why in (NOT_IDENTIFIED, NOT_LEARNED)}
+    return [*said, *(f"{why.capitalize()}: {', '.join(names)}." for why, names in unknown.items() if len(names))]
 
 
 def _value(mean: float, std: float, of: str) -> str:
