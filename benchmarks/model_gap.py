@@ -29,7 +29,10 @@ from vehicle_sbi.physics.vehicle import GRAVITY
 
 INHERENT = tuple(p.name for name in ("tyre_curve", "lateral_load_transfer") for p in CATALOGUE[name].parameters)
 FRICTION = "friction_level.factor"
-START = {"tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004, "lateral_load_transfer.track": 1.5}
+START = {
+    "tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004, "lateral_load_transfer.track": 1.5,
+    "lateral_load_transfer.period": 0.6,
+}  # fmt: skip
 STEPS = 30  # of Gauss-Newton
 
 

@@ -257,9 +257,10 @@ def tyre_forces(
     borne = max(statics[0] + shifted, 0.0), max(statics[1] - shifted, 0.0)
     pulls = implied_pulls(c, now, state[0], state[2], command, a_x)
     found, turn, angles = [], 0.0, wheel_angles(c, state, alphas)
+    moving = moved_by(c, state, a_y)
     for i, axle in enumerate("fr"):
         C, mu = (stiff[i] * c[f"C_kappa_{axle}"], stiff[i] * c[f"C_alpha_{axle}"]), now.mu * slide[i]
-        wheels, half, static = wheel_loads(c, loads[i], borne[i], a_y), (C[0] / 2.0, C[1] / 2.0), statics[i] / 2.0
+        wheels, half, static = wheel_loads(c, loads[i], borne[i], moving), (C[0] / 2.0, C[1] / 2.0), statics[i] / 2.0
         if drive == "speed":
             pair = [
                 pulled_tyre(c, half[1], mu, load, static, pulls[i] / 2.0, angles[i][k], steady)
@@ -284,6 +285,22 @@ def wheel_angles(c: Car, state: np.ndarray, alphas: list[float]) -> list[tuple[f
         middle, right, left = (math.atan2(v_y + x * r, v_x + r * aside) for aside in (0.0, half, -half))
         found.append((alpha + middle - right, alpha + middle - left))
     return found
+
+
+def leaning_body(c: Car) -> tuple[float, float]:
+    """Of y'' + 2 (0.3) w y' + w^2 y = w^2 a_y the stiffness w^2 and the damping, both 0 where load moves at once."""
+    if c["lateral_load_transfer_period"] == 0.0 or c["lateral_load_transfer_uneven"] == 0.0:
+        return 0.0, 0.0
+    w = 2.0 * math.pi / c["lateral_load_transfer_period"]
+    return w**2, 0.6 * w
+
+
+def moved_by(c: Car, state: np.ndarray, a_y: float) -> float:
+    """The lateral acceleration [m/s^2] that load has followed: three quarters of it go through springs and dampers."""
+    stiffness, damping = leaning_body(c)
+    if stiffness == 0.0:
+        return a_y
+    return 0.25 * a_y + 0.75 * float(state[9] + damping / stiffness * state[10])
 
 
 def wheel_loads(c: Car, F_z: float, borne: float, a_y: float) -> tuple[float, float]:
@@ -363,7 +380,8 @@ def longitudinal_acceleration(c: Car, now: Moment, drive: str, state: np.ndarray
 
 
 def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """d(state)/dt for states v_x, v_y, r, omega_f, omega_r, kappa_f, kappa_r, alpha_f, alpha_r; u in INPUTS' order."""
+    """d(state)/dt for states v_x, v_y, r, omega_f, omega_r, kappa_f, kappa_r, alpha_f, alpha_r, lean and its rate, both
+    as accelerations; u in INPUTS' order."""
     (v_x, v_y, r), now = state[:3], at(c, u[7], u[8])
     _, y, turn = outer_forces(c, now, v_x)
 
@@ -383,7 +401,7 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
         a_y = float(newton(excess, a_y, tol=1e-12))
     (a_x, delta, F, sideways_f), (l_f, l_r) = under(a_y), axles(c)
     loads, a_y = axle_loads(c, now, a_x, v_x), (sideways_f + F.y_r + y) / mass(c)
-    out = np.zeros(9)
+    out = np.zeros(11)
     turn += F.turn + c["lateral_cog_y"] * (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r)
     out[:3] = (
         a_x + v_y * r,
@@ -396,7 +414,10 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
     lengths = np.array(relaxation_lengths(c) * 2)
     lag = np.where(lengths > 0.0, v_x / np.maximum(lengths, 1e-12), 0.0)
-    out[5:] = lag * (np.array([*kappa, *slip_angles(c, state, delta)]) - state[5:])
+    out[5:9] = lag * (np.array([*kappa, *slip_angles(c, state, delta)]) - state[5:9])
+    stiffness, damping = leaning_body(c)
+    if stiffness > 0.0:
+        out[9:] = state[10], stiffness * (a_y - state[9]) - damping * state[10]
     return out
 
 
@@ -414,15 +435,17 @@ def impose(drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 def start(c: Car, drive: str, u: np.ndarray, initial: np.ndarray) -> np.ndarray:
-    """Wheels rolling freely on their static load (or as recorded), lagged slips equal to the slips."""
-    state, (l_f, l_r) = np.zeros(9), axles(c)
+    """Wheels rolling freely on their static load (or as recorded), lagged slips equal to the slips, the body leaning as
+    in a steady turn."""
+    state, (l_f, l_r) = np.zeros(11), axles(c)
     state[:3] = initial
     static = weight(c) * l_r / c["L"], weight(c) * l_f / c["L"]
     R_f, R_r = effective_radius(c, static[0], "front"), effective_radius(c, static[1], "rear")
     state[3:5] = wheel_plane_speed(c, state, u[0]) / R_f, state[0] / R_r
     state = impose(drive, state, u)
     kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, u[0], static)
-    state[5:] = *kappa, *slip_angles(c, state, u[0])
+    state[5:9] = *kappa, *slip_angles(c, state, u[0])
+    state[9] = initial[0] * initial[2]
     return state
 
 

@@ -29,7 +29,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vehicle_sbi.parameters import Parameter
-from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, derive
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, SPRINGS_BEAR, derive, lean_period, lean_share
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 from vehicle_sbi.physics.simulation import FINISHED, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS, STATES, start
@@ -236,6 +236,47 @@ def test_every_drive_mode_agrees_with_solve_ivp(drive: str, car: object) -> None
     assert (np.abs(y[:7] - truth) / scale)[compared].max() < 2e-7
 
 
+LEANING = {"lateral_load_transfer_uneven": 0.006, "lateral_load_transfer_period": 0.6}
+
+
+def test_a_body_that_leans_late_agrees_with_solve_ivp() -> None:
+    # As above; the steering is quick and large enough for the inner wheel to slide, so how load moves matters.
+    u, initial = smooth_inputs(0.6), np.array([10.5, 0.1, 0.02])
+    u[:, 0] *= 3.0
+    records = record_of(PAPER, **LEANING)
+    truth = as_measured(reference.integrate(reference.car_of(records[0]), "speed", u, RATE, initial))
+    y, at_once = (
+        finished(one, "speed", u, initial, substeps=16)
+        for one in (records, record_of(PAPER, **LEANING | {"lateral_load_transfer_period": 0.0}))
+    )
+    scale = np.abs(truth[:3]).max(axis=1, keepdims=True)
+    assert (np.abs(y[:3] - truth[:3]) / scale).max() < 2e-7
+    assert (np.abs(at_once[:3] - y[:3]) / scale).max() > 1e-3
+
+
+def test_in_a_steady_turn_it_does_not_matter_how_late_load_moves() -> None:
+    # The slowest mode left, the body's, decays as exp(-0.3 w t), w = 2 pi / 0.6 s: by exp(-31) in 10 s.
+    u = smooth_inputs(10.0)
+    u[:, 0], u[:, 3], u[:, 4] = 0.12 * np.minimum(u[:, 7], 1.0), 10.5, 0.0
+    late, at_once = (
+        finished(record_of(PAPER, **LEANING | {"lateral_load_transfer_period": period}), "speed", u, (10.5, 0.0, 0.0))
+        for period in (0.6, 0.0)
+    )
+    assert late[:3, -1] == pytest.approx(at_once[:3, -1], rel=1e-8)
+
+
+def test_a_period_too_short_for_the_integrator_answers_as_itself_to_second_order() -> None:
+    records = record_of(PAPER, **LEANING)
+    p, before = records[0], 0.0
+    p["step"] = 0.005
+    for period in (1e-4, 1e-3, 0.01, 0.02 - 1e-9, 0.02, 0.1):
+        p["lateral_load_transfer_period"] = period
+        answer = lean_share(p) * lean_period(p) ** 2
+        assert answer == pytest.approx(SPRINGS_BEAR * (period / (2.0 * math.pi)) ** 2, rel=1e-12)
+        assert lean_share(p) >= before
+        before = lean_share(p)
+
+
 @pytest.mark.slow
 def test_reference_does_not_depend_on_its_integrator() -> None:
     # An implicit method of another family; Radau's order 5 reaches rtol 1e-9 over a short, hard piece.
@@ -273,7 +314,9 @@ def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, n
     most = 0.02 if two else 0.3
     wheel = v_x / radius * (1.0 + 0.7 * most * rng.uniform(-1.0, 1.0, 2))
     slips, angles = much * most * rng.uniform(-1.0, 1.0, 2), much * rng.uniform(-0.2, 0.2, 2)
-    state = np.array([v_x, *rng.uniform(-0.5, 0.5, 2), *wheel, *slips, *angles])
+    records["lateral_load_transfer_period"] += 0.1  # as it is for a step of 5 ms
+    lean = rng.uniform(-8.0, 8.0, 2)
+    state = np.array([v_x, *rng.uniform(-0.5, 0.5, 2), *wheel, *slips, *angles, *lean])
     records["duration"], t = rng.uniform(3.0, 10.0), rng.uniform(0.0, 12.0)
     u = np.array([rng.uniform(-0.3, 0.3), *rng.uniform(-2000, 2000, 2), v_x, rng.uniform(-3, 3), *wheel, t, 0.0])
     disturb(records, u, rng)
@@ -305,7 +348,7 @@ def test_start_is_settled(drive: str) -> None:
     derive(records[0])
     start(records[0], DRIVES[drive], u, np.array([10.5, 0.1, 0.02]), state)
     d = rate_of(records, drive, state, u)
-    settling = d[5:] * 6e4 / 1.5e5 / state[0]
+    settling = d[5:9] * 6e4 / 1.5e5 / state[0]
     a_x = abs(d[0] - state[1] * state[2])
     assert np.abs(settling[2:]).max() < 4 * EPS
     assert np.abs(settling[:2]).max() <= 1500.0 * 0.5 * a_x / (6.0 * 2.7 * 2e5) / 0.3 + 4 * EPS

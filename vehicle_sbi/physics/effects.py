@@ -26,6 +26,9 @@ LEAST_LAG = 0.5  # of the way that a wheel rolls in a step of the integrator, th
 MOST_GRIP = 0.99  # share of the grip that a given longitudinal force takes, at most
 SPRUNG = 0.15  # damping ratio of a body on its springs at least
 SHORTEST = 1e-9  # [s] of a natural period, below which there is none
+ROLL_DAMPING = 0.3  # damping ratio with which a passenger car's body leans
+SPRINGS_BEAR = 0.75  # of what a turn moves across, with their dampers; axles and roll centres bear the rest
+LEAST_SWING = 4.0  # steps of the integrator, the least natural period that swings as it is
 REPORTED = (
     "imu",
     "can",
@@ -172,12 +175,13 @@ CATALOGUE: Mapping[str, Effect] = {
         _effect("lateral_load_transfer", "tyre",
                 "an axle loses cornering stiffness, and its inner wheel slides first, as load moves to the outer one",
                 "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2), F_axle = F((F_z + S)/2) + F((F_z - S)/2) of "
-                "two wheels of equal torque, at v_x +- r track/2, S = sqrt(uneven) a_y m g share, share_f = l_r/L + "
-                "front, share_r = l_f/L - front (the full vehicle has its own wheels)",
+                "two wheels of equal torque, at v_x +- r track/2, S = sqrt(uneven) w m g share, share_f = l_r/L + "
+                "front, share_r = l_f/L - front, w = 0.25 a_y + 0.75 (y + 0.6 T dy/dt), T = period/(2 pi), "
+                "T^2 d2y/dt2 + 0.6 T dy/dt = a_y - y (the full vehicle has its own wheels)",
                 f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2",
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0),
                 uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0), front=("1", -MOST_SHIFTED, MOST_SHIFTED, 0.0),
-                track=("m", 0.0, WIDEST, 0.0)),
+                track=("m", 0.0, WIDEST, 0.0), period=("s", 0.0, 1.2, 0.0)),
         _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late, instead of saturating",
                 "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(3/2, -17/8) - F_Dugoff), F_x with "
                 "longitudinal in place of peak alone, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, "
@@ -657,6 +661,25 @@ def load_sensitivity(p, load: float) -> float:
 def lateral_load_transfer(p, a_y: float) -> float:
     """Factor on the cornering stiffness of an axle at a steady lateral acceleration [m/s^2]."""
     return max(1.0 - p.lateral_load_transfer_coefficient * a_y * a_y, LEAST_STIFFNESS)
+
+
+@compiled
+def lean_period(p) -> float:
+    """Natural period [s] over 2 pi of the lean that moves load across, LEAST_SWING steps of the integrator at least."""
+    return max(p.lateral_load_transfer_period, LEAST_SWING * p.step) / (2.0 * math.pi)
+
+
+@compiled
+def lean_share(p) -> float:
+    """Share of what a turn moves across that comes as the body leans, the rest coming at once.
+
+    A shorter period than LEAST_SWING steps is that long, by the share that has the same second-order response,
+    1 - (s T)^2.
+    """
+    if p.lateral_load_transfer_period <= SHORTEST or not moves_load_across(p):
+        return 0.0
+    shorter = min(p.lateral_load_transfer_period / (LEAST_SWING * p.step), 1.0)
+    return SPRINGS_BEAR * shorter * shorter
 
 
 @compiled

@@ -6,7 +6,8 @@
     I_w domega/dt       = T - F_x R_eff                                  for each axle
     dkappa^/dt          = |v_x|/sigma (kappa - kappa^), and alpha^ alike  (the paper's equations 1 to 11)
 
-States: v_x, v_y [m/s], r [rad/s], omega_f, omega_r [rad/s], and the lagged slips. A drive mode says what is given and
+States: v_x, v_y [m/s], r [rad/s], omega_f, omega_r [rad/s], the lagged slips, and the lean of the body with its rate,
+in units of the lateral acceleration that it stands for [m/s^2]. A drive mode says what is given and
 what is solved for: TORQUE integrates all of it, WHEEL_SPEED takes the measured wheel speeds, SPEED the measured v_x
 and leaves only the lateral equations.
 """
@@ -17,7 +18,17 @@ from typing import NamedTuple
 from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.axle import Slips, Tyres, axle_force, axle_side_force
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
-from vehicle_sbi.physics.effects import ignores_load, lag_rate, lag_share, lateral_cog, moves_load_across, pulls
+from vehicle_sbi.physics.effects import (
+    ROLL_DAMPING,
+    ignores_load,
+    lag_rate,
+    lag_share,
+    lateral_cog,
+    lean_period,
+    lean_share,
+    moves_load_across,
+    pulls,
+)
 from vehicle_sbi.physics.tyre import effective_radius, grips
 
 TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2
@@ -29,8 +40,8 @@ INPUTS = (
 )  # fmt: skip
 DELTA, T_F, T_R, U_V_X, U_V_X_DOT, U_OMEGA_F, U_OMEGA_R, TIME, U_LATENT = range(len(INPUTS))
 
-STATES = 9
-V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_F, ALPHA_R = range(STATES)
+STATES = 11
+V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_F, ALPHA_R, LEAN, LEANING = range(STATES)
 
 STEEPEST = 1.5  # [rad], the largest slip angle whose tangent is taken
 
@@ -101,6 +112,8 @@ class Car(NamedTuple):
     tan_r: Wheels
     pull_f: float  # longitudinal forces [N] where the speed is given
     pull_r: float
+    at_once: float  # share of what a turn moves across that follows its acceleration at once
+    leant: float  # acceleration [m/s^2] that the rest of it has followed
 
 
 class Rolling(NamedTuple):
@@ -218,11 +231,12 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     faster = right_faster(p, car.v_x, out.steady)
     slips_f = Slips(kappa_f, faster, tan_f.right, tan_f.left, p.split_f, p.slope_f)
     slips_r = Slips(kappa_r, faster, car.tan_r.right, car.tan_r.left, p.split_r, p.slope_r)
+    moving = car.at_once * a_y + car.leant
     if car.drive == SPEED:
-        f = axle_side_force(p, axle_f, car.pull_f, slips_f, p.moved_f * a_y)
-        b = axle_side_force(p, axle_r, car.pull_r, slips_r, p.moved_r * a_y)
+        f = axle_side_force(p, axle_f, car.pull_f, slips_f, p.moved_f * moving)
+        b = axle_side_force(p, axle_r, car.pull_r, slips_r, p.moved_r * moving)
     else:
-        f, b = axle_force(p, axle_f, slips_f, p.moved_f * a_y), axle_force(p, axle_r, slips_r, p.moved_r * a_y)
+        f, b = axle_force(p, axle_f, slips_f, p.moved_f * moving), axle_force(p, axle_r, slips_r, p.moved_r * moving)
         p.split_f, p.slope_f, p.split_r, p.slope_r = f.split, f.slope, b.split, b.slope
     F_along = f.F_x * front.cosine - f.F_y * front.sine + b.F_x
     F_lateral_f = f.F_x * front.sine + f.F_y * front.cosine
@@ -237,7 +251,7 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
 
 @compiled
 def derivatives(p, drive: int, u, state, rate) -> None:
-    """Fill rate (9,) with d(state)/dt; what of v_x and v_y it has on entry is where the load-transfer loop starts."""
+    """Fill rate (11,) with d(state)/dt; what of v_x and v_y it has on entry is where the load-transfer loop starts."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     speed, v_yf = regular(v_x), v_y + p.l_front * r
     share_f, share_r = lag_share(p, p.sigma_f, speed), lag_share(p, p.sigma_r, speed)
@@ -246,6 +260,8 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     out = outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT])
     pull_f, pull_r = pulls(p, implied(p, out, given - v_y * r)) if drive == SPEED else (0.0, 0.0)
+    leaning, T = lean_share(p), lean_period(p)
+    damping = 2.0 * ROLL_DAMPING * T
     car = Car(
         drive=drive,
         share_f=share_f,
@@ -264,6 +280,8 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         tan_r=tangents(mixed(share_r, state[ALPHA_R], alpha_r), apart(p, v_y - p.l_rear * r, speed, r)),
         pull_f=pull_f,
         pull_r=pull_r,
+        at_once=1.0 - leaning,
+        leant=leaning * (state[LEAN] + damping * state[LEANING]),
     )
     found, front, a_x, _ = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
     F_zf, F_zr = loads(p, car, a_x)
@@ -281,6 +299,8 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     rate[KAPPA_R] = fade_r * (rolls.kappa_r - state[KAPPA_R])
     rate[ALPHA_F] = fade_f * (front.delta - car.beta_f - state[ALPHA_F])
     rate[ALPHA_R] = fade_r * (alpha_r - state[ALPHA_R])
+    off = rate[V_Y] + v_x * r - state[LEAN] - damping * state[LEANING]
+    rate[LEAN], rate[LEANING] = (state[LEANING], off / (T * T)) if leaning > 0.0 else (0.0, 0.0)
 
 
 @compiled
@@ -297,8 +317,10 @@ def rolling_radii(p) -> tuple[float, float]:
 
 @compiled_apart
 def start(p, drive: int, u, initial, state) -> None:
-    """Fill the state at the first sample from (v_x, v_y, r): wheels rolling freely, or as recorded, slips settled."""
+    """Fill the state at the first sample from (v_x, v_y, r): wheels rolling freely, or as recorded, slips and the body
+    settled."""
     state[V_X], state[V_Y], state[R] = initial[0], initial[1], initial[2]
+    state[LEAN], state[LEANING] = initial[0] * initial[2], 0.0
     v_wheel_f = contact_speed(p, u[DELTA], state[V_X], state[V_Y], state[R])
     R_f, R_r = rolling_radii(p)
     state[OMEGA_F], state[OMEGA_R] = v_wheel_f / R_f, state[V_X] / R_r
