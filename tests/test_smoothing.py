@@ -4,14 +4,21 @@ import numpy as np
 import pytest
 from made_up import RATE
 
-from vehicle_sbi.data.smoothing import LEAST_DENOISED, denoised, smoothed, unheld
+from vehicle_sbi.data.smoothing import LEAST_DENOISED, SLOPE_S, denoised, slope, smoothed, unheld
 
 
 def test_derivative_of_a_parabola_is_exact():
     t = np.arange(500) / RATE
     v_x = 10.0 + 0.3 * t - 0.7 * t**2 + 5.0
     np.testing.assert_allclose(smoothed(v_x, RATE, ""), v_x, atol=1e-10)
-    np.testing.assert_allclose(smoothed(v_x, RATE, "", derivative=1), 0.3 - 1.4 * t, atol=1e-8)
+    np.testing.assert_allclose(slope(v_x, RATE, ""), 0.3 - 1.4 * t, atol=1e-8)
+
+
+def test_the_slope_of_a_fourth_power_is_exact_where_the_filter_reaches_to_both_sides() -> None:
+    # Of even order about the middle, a fourth power adds nothing to an odd derivative.
+    t = np.arange(500) / RATE - 1.0
+    inner = slice(round(SLOPE_S * RATE), -round(SLOPE_S * RATE))
+    np.testing.assert_allclose(slope(t**4, RATE, "")[inner], (4.0 * t**3)[inner], atol=1e-8)
 
 
 @pytest.mark.parametrize("hold", [2, 5])

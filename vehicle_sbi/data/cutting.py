@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from vehicle_sbi.data.channels import CHANNELS, NEEDED
 from vehicle_sbi.data.recording import Recording
-from vehicle_sbi.data.smoothing import denoised, smoothed, unheld
+from vehicle_sbi.data.smoothing import denoised, slope, smoothed, unheld
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.physics.single_track import INPUTS
@@ -93,7 +93,7 @@ def _inputs(recording: Recording, drive: str, steering_ratio: float | None) -> d
         for name in NEEDED[drive]:
             smooth = smoothed(inputs[name], recording.rate, f"{recording.source}: {name}")
             if name == "v_x":  # of the speed that drives the model: that of the measured one is rough
-                inputs["v_x_dot"] = smoothed(smooth, recording.rate, recording.source, derivative=1)
+                inputs["v_x_dot"] = slope(smooth, recording.rate, recording.source)
             inputs[name] = np.where(np.isfinite(inputs[name]), smooth, np.nan)
     inputs["steering"] = denoised(unheld(_steering(recording, drive, steering_ratio)))
     return inputs

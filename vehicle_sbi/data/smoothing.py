@@ -11,7 +11,10 @@ from scipy.signal import savgol_filter
 from vehicle_sbi.errors import InputError
 
 SMOOTHING_S = 0.25
-"""Length [s] of the Savitzky-Golay filter (order 2) behind v_x_dot, the initial states and the smoothed v_x."""
+"""Length [s] of the Savitzky-Golay filter (order 2) behind the initial states and the smoothed v_x."""
+
+SLOPE_S = 0.45
+"""Length [s] of the one (order 3) behind v_x_dot."""
 
 LEAST_DENOISED = 50
 """Samples, of fewer of which noise is not told."""
@@ -23,20 +26,33 @@ MOST_HELD = 20
 """Samples for which a held signal usually stays, at most: one that stays for longer is at rest."""
 
 
-def smoothed(
-    values: Float[np.ndarray, " time"], rate: float, where: str, derivative: int = 0
-) -> Float[np.ndarray, " time"]:
-    """Savitzky-Golay smoothing (order 2, `SMOOTHING_S` and at least 5 samples) of `values`, or their derivative.
+def smoothed(values: Float[np.ndarray, " time"], rate: float, where: str) -> Float[np.ndarray, " time"]:
+    """Savitzky-Golay smoothing (order 2, `SMOOTHING_S` and at least 5 samples) of `values`.
 
     Absent samples are bridged linearly. Exact for parabolas. Raises InputError for fewer samples than the filter has.
     (Savitzky and Golay, Analytical Chemistry 36, 1964.)
     """
-    length = max(5, 2 * round(0.5 * SMOOTHING_S * rate) + 1)
+    return _filtered(values, rate, where, SMOOTHING_S, order=2, derivative=0)
+
+
+def slope(values: Float[np.ndarray, " time"], rate: float, where: str) -> Float[np.ndarray, " time"]:
+    """Derivative of `values` by the same filter, as long as `SLOPE_S` and exact for cubics.
+
+    A parabola over 0.25 s would take 7 % off what a car does at 1 Hz and 26 % at 2 Hz, this takes 1 % and 12 %, of what
+    was `smoothed` before, with a tenth more noise.
+    """
+    return _filtered(values, rate, where, SLOPE_S, order=3, derivative=1)
+
+
+def _filtered(
+    values: Float[np.ndarray, " time"], rate: float, where: str, seconds: float, *, order: int, derivative: int
+) -> Float[np.ndarray, " time"]:
+    length = max(5, 2 * round(0.5 * seconds * rate) + 1)
     known = np.flatnonzero(np.isfinite(values))
     if len(known) == 0 or len(values) < length:
         raise InputError(f"{where}: {len(known)} samples at {rate:g} Hz are too few; at least {length} are needed")
     bridged = np.interp(np.arange(len(values)), known, values[known])
-    return np.asarray(savgol_filter(bridged, length, 2, deriv=derivative, delta=1.0 / rate))
+    return np.asarray(savgol_filter(bridged, length, order, deriv=derivative, delta=1.0 / rate))
 
 
 def denoised(values: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
