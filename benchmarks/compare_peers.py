@@ -41,7 +41,7 @@ from vehicle_sbi.inference.features import Handcrafted
 from vehicle_sbi.inference.reweighting import posterior_draws
 from vehicle_sbi.inference.rounds import Problem, infer
 from vehicle_sbi.inference.simulator import Simulator, succeeded, use_cores
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 from vehicle_sbi.rng import Stream, seed_torch
 
 ROOT = Path(__file__).resolve().parent.parent

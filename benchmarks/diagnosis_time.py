@@ -24,7 +24,7 @@ from gathering import RESULTS
 
 from vehicle_sbi.files import write_text
 from vehicle_sbi.mismatch.pipeline import STEPS
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 

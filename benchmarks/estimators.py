@@ -42,7 +42,7 @@ from vehicle_sbi.inference.simulator import Draws, Simulator, use_cores
 from vehicle_sbi.inference.study import Study
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.physics.vehicle import read
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 SUMS = ("delta_C_kappa_f", "delta_C_kappa_r", "delta_C_alpha_f", "delta_C_alpha_r")

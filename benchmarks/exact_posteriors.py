@@ -29,7 +29,7 @@ from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.reweighting import posterior_draws
 from vehicle_sbi.inference.rounds import Problem, infer
 from vehicle_sbi.inference.simulator import use_cores
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 from vehicle_sbi.rng import Stream, seed_torch
 
 SEEDS = {"paper_mild": range(520, 525), "paper_strong": range(525, 530)}

@@ -21,7 +21,7 @@ from campaign import processor
 from whole_car import cases
 
 from vehicle_sbi.files import write_text
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER, RESULT = ROOT / "outputs" / "fleet_cost", ROOT / "benchmarks" / "results" / "fleet_cost.md"

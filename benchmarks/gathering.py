@@ -12,7 +12,7 @@ import pandas as pd
 
 from vehicle_sbi.files import write_text
 from vehicle_sbi.report.run_folder import is_finished, read
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"

@@ -33,7 +33,7 @@ from vehicle_sbi.physics.simulation import FINISHED, Motions, batch_simulator, s
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.tyre import dugoff
 from vehicle_sbi.physics.vehicle import GRAVITY, Vehicle
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 RESULT = Path(__file__).resolve().parent / "results" / "multibody.md"
 SETS: dict[int, Callable[[], Any]] = {1: parameters_vehicle1, 2: parameters_vehicle2, 3: parameters_vehicle3}

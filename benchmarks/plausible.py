@@ -43,7 +43,7 @@ from vehicle_sbi.inference.simulator import use_cores
 from vehicle_sbi.inference.study import Prepared, Study
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.physics.vehicle import read
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 from vehicle_sbi.rng import Stream, seed_torch
 
 DRIVES, FIRST_SEED, SAMPLES = 6, 7000, 4000

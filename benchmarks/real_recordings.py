@@ -23,7 +23,7 @@ from vehicle_sbi.mismatch.selection.extended import Extended
 from vehicle_sbi.physics.effects import KNOTS
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.report.stage_file import read
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 RUNS = ROOT / "outputs" / "real_recordings"
 SHARED = Path(os.environ.get("VEHICLE_SBI_RECORDINGS", ROOT.parent / "shared" / "recordings"))

@@ -40,7 +40,7 @@ from vehicle_sbi.mismatch.selection.inclusion import Chain, Sampled, Shared, sam
 from vehicle_sbi.mismatch.selection.pruned import Pruned
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.report.stage_file import read
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 CHAIN = Chain(chains=2, sweeps=200, forgotten=80, every=2)
 SINGLE_EFFECTS, ITERATIONS = 10, 50  # of SuSiE

@@ -31,7 +31,7 @@ from whole_car.scores import Scored, by_selection, parameters, scored
 from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.mismatch.estimation.linear_gaussian import order
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 SEED = 1  # of the noise
 COLUMNS = ("the diagnosis", "its selection", "its selection, recordings of the linear model")

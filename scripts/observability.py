@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 @launch("config")
 def main(cfg: DictConfig) -> None:
     from vehicle_sbi.report.observability import left_out, observability
-    from vehicle_sbi.report.tables import markdown
+    from vehicle_sbi.report.tables.text import markdown
 
     prepared = instantiate(cfg.study).prepare()
     for table, notes in (observability(prepared), left_out(prepared)):

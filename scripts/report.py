@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 @launch("report")
 def main(cfg: DictConfig) -> None:
     from vehicle_sbi.report.page.index import BROKEN, COMPLETE, RUN, rows, write_index
-    from vehicle_sbi.report.tables import gather
+    from vehicle_sbi.report.tables.gathered import gather
 
     folder = Path(HydraConfig.get().runtime.output_dir)
     found = rows(Path(run) for run in ([cfg.runs] if isinstance(cfg.runs, str) else cfg.runs))

@@ -21,7 +21,7 @@ from vehicle_sbi.mismatch.selection.inclusion import Chain
 from vehicle_sbi.report.page import run
 from vehicle_sbi.report.page.diagnosis import page_of
 from vehicle_sbi.report.page.page import Page, write_page
-from vehicle_sbi.report.tables import posterior_table
+from vehicle_sbi.report.tables.posterior import posterior_table
 
 HOSTILE = "<script>alert(1)</script>"
 EFFECTS = ("body_roll", "accelerometer_scale", "gyro_bias", "imu_lever_arm")

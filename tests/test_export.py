@@ -26,7 +26,7 @@ from vehicle_sbi.report import manifest as manifests
 from vehicle_sbi.report.export.export import FORMATS, export
 from vehicle_sbi.report.export.writing import number, one_line
 from vehicle_sbi.report.run_folder import RunFolder
-from vehicle_sbi.report.tables import COLUMNS
+from vehicle_sbi.report.tables.posterior import COLUMNS
 from vehicle_sbi.rounding import rounded
 
 VEHICLE: dict[str, Any] = {

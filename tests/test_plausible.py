@@ -18,7 +18,8 @@ from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.spike_slab import Slab, SpikeAndSlab
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.report.results import posterior_table
-from vehicle_sbi.report.tables import WIDENED, for_people
+from vehicle_sbi.report.tables.posterior import WIDENED
+from vehicle_sbi.report.tables.text import for_people
 
 PRIOR = EffectPrior(table={"friction_level": {"rear": [0.05, 0.1]}, "aero_drag": {"area": [0.4, 0.65]}})
 MIDDLE = np.array([1.25, 0.05, -0.1])

@@ -16,10 +16,23 @@ import pytest
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.prior import KNOWN
 from vehicle_sbi.parameters import Parameter, ParameterSpace
-from vehicle_sbi.report import figures, tables
+from vehicle_sbi.report import figures
 from vehicle_sbi.report.page.run import lines
 from vehicle_sbi.report.results import table_warnings
 from vehicle_sbi.report.run_folder import RunFolder
+from vehicle_sbi.report.tables.files import write_tables
+from vehicle_sbi.report.tables.gathered import gather
+from vehicle_sbi.report.tables.posterior import (
+    COLUMNS,
+    NOT_IDENTIFIED,
+    NOT_LEARNED,
+    nominal_table,
+    posterior_table,
+    read_table,
+    unidentified,
+)
+from vehicle_sbi.report.tables.symbols import minus, symbol
+from vehicle_sbi.report.tables.text import SCREEN_WIDTH, for_people, html, terminal
 
 ROOT = Path(__file__).resolve().parents[1]
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -52,12 +65,12 @@ def samples(n: int = 1000, seed: int = 0) -> np.ndarray:
 
 
 def table(true: np.ndarray | None = TRUE, seed: int = 0) -> pd.DataFrame:
-    return tables.posterior_table(SPACE, samples(seed=seed), true=true, bound_std=np.array([0.008, np.inf, 0.07]))
+    return posterior_table(SPACE, samples(seed=seed), true=true, bound_std=np.array([0.008, np.inf, 0.07]))
 
 
 def test_the_table_is_what_numpy_says() -> None:
     drawn, found = samples(), table()
-    assert tuple(found.columns) == tables.COLUMNS
+    assert tuple(found.columns) == COLUMNS
     np.testing.assert_array_equal(
         found[["q05", "q50", "q95"]].to_numpy().T, np.quantile(drawn, [0.05, 0.5, 0.95], axis=0)
     )
@@ -69,7 +82,7 @@ def row_of(p: Parameter, mean: float, std: float) -> pd.DataFrame:
     """The table of one parameter whose posterior is normal."""
     space = ParameterSpace((p,))
     drawn = np.clip(np.random.default_rng(0).normal(mean, std, (2000, 1)), p.low, p.high)
-    return tables.posterior_table(space, drawn, bound_std=np.array([std]))
+    return posterior_table(space, drawn, bound_std=np.array([std]))
 
 
 @pytest.mark.parametrize(
@@ -92,7 +105,7 @@ def test_the_prior_contracts_by_nothing() -> None:
     """s^2 of n uniform draws has relative standard deviation sqrt(0.8/n) (kurtosis 1.8); five of them are allowed."""
     n = 20_000
     drawn = np.random.default_rng(1).uniform(SPACE.low, SPACE.high, (n, len(SPACE)))
-    found = tables.posterior_table(SPACE, drawn, bound_std=np.full(len(SPACE), 1e-3))
+    found = posterior_table(SPACE, drawn, bound_std=np.full(len(SPACE), 1e-3))
     np.testing.assert_allclose(found["contraction"], 0.0, atol=5.0 * np.sqrt(0.8 / n))
     assert not found["identified"].any()
     assert found["true"].isna().all()
@@ -101,7 +114,7 @@ def test_the_prior_contracts_by_nothing() -> None:
 def test_identified_needs_a_bound_that_allows_it_and_a_posterior_that_shows_it() -> None:
     drawn = samples()
     known = [
-        tables.posterior_table(SPACE, drawn, bound_std=np.full(3, bound))["identified"].tolist()
+        posterior_table(SPACE, drawn, bound_std=np.full(3, bound))["identified"].tolist()
         for bound in (0.01, np.nan, np.inf)
     ]
     assert known == [[True, False, True], [True, False, True], [False, False, False]]
@@ -109,11 +122,11 @@ def test_identified_needs_a_bound_that_allows_it_and_a_posterior_that_shows_it()
 
 def test_csv_keeps_every_digit_and_people_are_told_what_is_not_identified(tmp_path: Path) -> None:
     found = table()
-    nominal = tables.nominal_table(SPACE, NOMINAL, noise_percent={"C_kappa_f": 5.0})
-    tables.write_tables(tmp_path, found, nominal, ["3 of 1000 simulations failed"])
+    nominal = nominal_table(SPACE, NOMINAL, noise_percent={"C_kappa_f": 5.0})
+    write_tables(tmp_path, found, nominal, ["3 of 1000 simulations failed"])
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "table.csv"), found, rtol=1e-15, atol=0.0)
-    for text in (*((tmp_path / f"table.{kind}").read_text() for kind in ("md", "tex")), tables.terminal(found)):
-        assert text.count(tables.NOT_IDENTIFIED) == 1
+    for text in (*((tmp_path / f"table.{kind}").read_text() for kind in ("md", "tex")), terminal(found)):
+        assert text.count(NOT_IDENTIFIED) == 1
     assert "3 of 1000 simulations failed" in (tmp_path / "table.md").read_text()
     tex = (tmp_path / "table.tex").read_text()
     assert r"$l_{f}$ & $h_{\mathrm{cog}}$ & $\Delta C_{\kappa}$" in tex
@@ -122,12 +135,12 @@ def test_csv_keeps_every_digit_and_people_are_told_what_is_not_identified(tmp_pa
 
 
 def test_what_the_recording_tells_and_the_run_has_not_learned_is_no_fault_of_the_recording(tmp_path: Path) -> None:
-    found = tables.posterior_table(SPACE, samples(), bound_std=np.full(3, 0.01))  # h_cog is left as its prior
-    assert tables.unidentified(found) == ["", tables.NOT_LEARNED, ""]
-    tables.write_tables(tmp_path, found, tables.nominal_table(SPACE, NOMINAL, noise_percent={}))
+    found = posterior_table(SPACE, samples(), bound_std=np.full(3, 0.01))  # h_cog is left as its prior
+    assert unidentified(found) == ["", NOT_LEARNED, ""]
+    write_tables(tmp_path, found, nominal_table(SPACE, NOMINAL, noise_percent={}))
     shown = [(tmp_path / f"table.{kind}").read_text() for kind in ("md", "tex")]
-    for text in (*shown, tables.terminal(found), " ".join(lines(found)).lower(), *table_warnings(found, SPACE)):
-        assert tables.NOT_IDENTIFIED not in text
+    for text in (*shown, terminal(found), " ".join(lines(found)).lower(), *table_warnings(found, SPACE)):
+        assert NOT_IDENTIFIED not in text
         assert "not learned" in text
     assert_is_a_latex_table(shown[1])
 
@@ -147,7 +160,7 @@ def assert_is_a_latex_table(tex: str) -> None:
 
 
 def test_nominal_values_have_their_parameters_unit() -> None:
-    found = tables.nominal_table(SPACE, NOMINAL, noise_percent={"C_kappa_f": 5.0})
+    found = nominal_table(SPACE, NOMINAL, noise_percent={"C_kappa_f": 5.0})
     assert found["quantity"].tolist() == ["l_f", "h_cog", "C_kappa_f", "C_kappa_r"]
     assert found["nominal"].tolist() == [1.3, 0.5, 1.0, 0.9]
     assert found["noise_percent"].fillna(-1.0).tolist() == [-1.0, -1.0, 5.0, -1.0]
@@ -157,8 +170,8 @@ def test_nominal_values_have_their_parameters_unit() -> None:
 def test_the_screen_is_never_exceeded(length: int) -> None:
     space = ParameterSpace((parameter("p" * length, "rad/(m/s^2)", -12345.0, 12345.0), *SPACE.parameters))
     drawn = np.column_stack([np.random.default_rng(0).normal(0.0, 0.01234, 1000), samples()])
-    text = tables.terminal(tables.posterior_table(space, drawn, true=np.append(0.0, TRUE), bound_std=np.full(4, 0.01)))
-    assert max(map(len, text.splitlines())) <= tables.SCREEN_WIDTH
+    text = terminal(posterior_table(space, drawn, true=np.append(0.0, TRUE), bound_std=np.full(4, 0.01)))
+    assert max(map(len, text.splitlines())) <= SCREEN_WIDTH
     assert all(p.name in text for p in space.parameters)
 
 
@@ -173,20 +186,18 @@ def test_the_screen_is_never_exceeded(length: int) -> None:
     ],
 )
 def test_hyphens_of_numbers_become_minus_signs_and_others_stay(text: str, shown: str) -> None:
-    assert tables.minus(text) == shown
-    assert tables.minus(text, "$-$") == shown.replace("−", "$-$")
+    assert minus(text) == shown
+    assert minus(text, "$-$") == shown.replace("−", "$-$")
 
 
 def test_a_page_shows_powers_raised() -> None:
-    text = tables.html(tables.for_people(table().assign(unit=["m^2", "rad/(m/s^2)", "1e5 N"])))
+    text = html(for_people(table().assign(unit=["m^2", "rad/(m/s^2)", "1e5 N"])))
     for unit in ("<td>m<sup>2</sup></td>", "<td>rad/(m/s<sup>2</sup>)</td>", "<td>10<sup>5</sup> N</td>"):
         assert unit in text
 
 
 def test_a_page_sets_columns_of_numbers_right_and_escapes_all() -> None:
-    text = tables.html(
-        pd.DataFrame({"a < b": ["x > y", "z"], "p": ["-0.5", ""], "q": ["+1.0", "none"], "r": ["2", "3 %"]})
-    )
+    text = html(pd.DataFrame({"a < b": ["x > y", "z"], "p": ["-0.5", ""], "q": ["+1.0", "none"], "r": ["2", "3 %"]}))
     assert '<th>a &lt; b</th><th>p</th><th>q</th><th class="number">r</th>' in text
     assert "<td>x &gt; y</td><td>−0.5</td>" in text
     assert '<td class="number">3 %</td>' in text
@@ -205,14 +216,14 @@ def test_a_page_sets_columns_of_numbers_right_and_escapes_all() -> None:
     ],
 )
 def test_symbols(name: str, shown: str) -> None:
-    assert tables.symbol(name) == shown
+    assert symbol(name) == shown
 
 
 def finished_run(path: Path, found: pd.DataFrame, seed: int, estimator: str = "nsf") -> None:
     config = {"seed": seed, "estimator": {"_target_": f"package.{estimator}"}}
     overrides = [f"seed={seed}", f"estimator={estimator}"]
     with RunFolder.open(path, config=config, overrides=overrides, inputs={}) as run:
-        tables.write_tables(path, found, tables.nominal_table(SPACE, NOMINAL, noise_percent={}))
+        write_tables(path, found, nominal_table(SPACE, NOMINAL, noise_percent={}))
         run.complete()
 
 
@@ -228,7 +239,7 @@ def made_up_runs(folder: Path) -> None:
 
 def test_gathering_counts_coverage_per_study(tmp_path: Path) -> None:
     made_up_runs(tmp_path)
-    gathered = tables.gather([tmp_path, tmp_path / "seed=4"])
+    gathered = gather([tmp_path, tmp_path / "seed=4"])
     assert len(gathered.runs) == 11 * len(SPACE)
     assert gathered.left_out == (tmp_path / "killed",)
     l_f = gathered.seeds.query("study == 'estimator=nsf' and parameter == 'l_f'")
@@ -244,22 +255,22 @@ def test_gathering_counts_coverage_per_study(tmp_path: Path) -> None:
 
 def test_gathering_names_what_it_cannot_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
-        tables.gather([tmp_path / "absent"])
+        gather([tmp_path / "absent"])
     with pytest.raises(InputError, match="no run folder"):
-        tables.gather([tmp_path])
+        gather([tmp_path])
     RunFolder.open(tmp_path / "killed", config={}, overrides=[], inputs={}).close()
     with pytest.raises(InputError, match="none of these runs has finished"):
-        tables.gather([tmp_path])
+        gather([tmp_path])
     finished_run(tmp_path / "run", table(), 0)
     file = tmp_path / "run" / "table.csv"
     table().drop(columns="q05").to_csv(file)
     with pytest.raises(InputError, match=r"table\.csv is damaged or missing"):
-        tables.gather([tmp_path])
+        gather([tmp_path])
     with pytest.raises(InputError, match="column q05 missing"):
-        tables.read_table(file)
+        read_table(file)
     file.write_text("")
     with pytest.raises(InputError, match="not a table"):
-        tables.read_table(file)
+        read_table(file)
 
 
 @pytest.mark.slow

@@ -106,12 +106,12 @@ class Identified:
         netcdf.write(Path(path), self.datatree)
 
     def __repr__(self) -> str:
-        from vehicle_sbi.report.tables import terminal
+        from vehicle_sbi.report.tables.text import terminal
 
         return terminal(self.table)
 
     def _repr_html_(self) -> str:
-        from vehicle_sbi.report.tables import for_people, html
+        from vehicle_sbi.report.tables.text import for_people, html
 
         return html(for_people(self.table))
 
@@ -175,7 +175,7 @@ class Diagnosed:
     def _repr_html_(self) -> str:
         from html import escape
 
-        from vehicle_sbi.report.tables import html
+        from vehicle_sbi.report.tables.text import html
 
         effects = self.table.head(SHOWN).assign(probability=lambda t: t["probability"].map("{:.2f}".format))
         given = self.parameters

@@ -13,7 +13,7 @@ import pandas as pd
 from scipy.stats import beta
 
 from concealed.scores import INTERVAL, NO_VERDICT
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 LEVELS = ("L0", "L1", "L2")
 EFFICIENT = math.sqrt(2.0 / math.pi)  # mean absolute error of a size, in its standard deviations, of which it is SNR

@@ -7,7 +7,7 @@ import pandas as pd
 from measures import Measure, listed, mean, median, rms, shown, without_answer
 
 from injected.scores import NAMED, Difference
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 MEASURES: tuple[Measure[Difference], ...] = (
     Measure(f"what was injected, or what cannot be told from it: inclusion above {NAMED}",

@@ -7,7 +7,7 @@ import pandas as pd
 from measures import Measure, listed, mean, median, rms, shown, without_answer
 
 from vehicle_sbi.mismatch.answer.wording import NAMED
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 from whole_car.scores import STRONG, Parameters, Scored
 
 BINS = 10  # of stated probabilities

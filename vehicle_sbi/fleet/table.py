@@ -12,7 +12,7 @@ from vehicle_sbi.fleet.diagnoses import VERDICT, Outcome
 from vehicle_sbi.fleet.vehicles import Member
 from vehicle_sbi.mismatch.answer.wording import NAMED
 from vehicle_sbi.report.run_folder import read
-from vehicle_sbi.report.tables import markdown
+from vehicle_sbi.report.tables.text import markdown
 
 Json = Mapping[str, Any]
 

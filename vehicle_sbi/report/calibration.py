@@ -14,7 +14,8 @@ from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.calibration import CONSISTENT, JUDGED, LEVELS, Calibration, proportion
 from vehicle_sbi.report.figures import POSTERIOR, PRIOR, PRIOR_EDGE, STYLE, key, save
 from vehicle_sbi.report.run_folder import RunFolder
-from vehicle_sbi.report.tables import markdown, symbol
+from vehicle_sbi.report.tables.symbols import symbol
+from vehicle_sbi.report.tables.text import markdown
 
 LEGEND = (
     "hold 50 %, 80 %, 90 %: the share of truths that these central intervals held; in brackets its 95 % binomial "

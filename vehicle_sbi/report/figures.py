@@ -27,7 +27,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from vehicle_sbi.files import write_atomically
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.report.density import density_in_box, level_of
-from vehicle_sbi.report.tables import minus, symbol, unidentified, unit_symbol
+from vehicle_sbi.report.tables.posterior import unidentified
+from vehicle_sbi.report.tables.symbols import minus, symbol, unit_symbol
 from vehicle_sbi.rounding import mean_and_std
 
 MEASURED, POSTERIOR, TRUTH, BOUND, PRIOR = "#333333", "#2b6ca3", "#c8322b", "#c98a13", "#d9d9d9"

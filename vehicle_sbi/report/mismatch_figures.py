@@ -21,7 +21,7 @@ from vehicle_sbi.mismatch.selection.predictive import Prediction
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.report.figures import MEASURED, POSTERIOR, PRIOR, STYLE, TRUTH, key, save
-from vehicle_sbi.report.tables import symbol, unit_symbol
+from vehicle_sbi.report.tables.symbols import symbol, unit_symbol
 
 MOST_BARS = 15
 LEAST = 0.05  # probability of an effect that has a bar

@@ -8,7 +8,7 @@ from vehicle_sbi.inference.information import bound_std, confusable, fisher
 from vehicle_sbi.inference.study import Prepared
 from vehicle_sbi.mismatch.design.identifiability import card
 from vehicle_sbi.report.card import could_show, hidden
-from vehicle_sbi.report.tables import NOT_IDENTIFIED
+from vehicle_sbi.report.tables.posterior import NOT_IDENTIFIED
 from vehicle_sbi.rounding import rounded
 
 MEANT = (

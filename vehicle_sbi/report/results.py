@@ -26,16 +26,16 @@ from vehicle_sbi.report.figures import predictive as predictive_figure
 from vehicle_sbi.report.page.page import write_page
 from vehicle_sbi.report.page.run import page_of
 from vehicle_sbi.report.run_folder import RunFolder
-from vehicle_sbi.report.tables import (
+from vehicle_sbi.report.tables.files import write_tables
+from vehicle_sbi.report.tables.posterior import (
     NOT_LEARNED,
     maybe_none,
     nominal_table,
     on_edge,
     posterior_table,
-    terminal,
     unidentified,
-    write_tables,
 )
+from vehicle_sbi.report.tables.text import terminal
 from vehicle_sbi.rng import Stream, seed_torch
 from vehicle_sbi.rounding import mean_and_std
 

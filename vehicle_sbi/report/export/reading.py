@@ -23,7 +23,14 @@ from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.export.exported import Exported, Inferred
 from vehicle_sbi.report.run_folder import FinishedRun
 from vehicle_sbi.report.run_folder import read as read_run
-from vehicle_sbi.report.tables import IDENTIFIED_CONTRACTION, NOT_LEARNED, maybe_none, on_edge, read_table, unidentified
+from vehicle_sbi.report.tables.posterior import (
+    IDENTIFIED_CONTRACTION,
+    NOT_LEARNED,
+    maybe_none,
+    on_edge,
+    read_table,
+    unidentified,
+)
 from vehicle_sbi.words import enumerated
 
 UNCHECKED = (

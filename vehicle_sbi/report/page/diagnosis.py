@@ -34,7 +34,7 @@ from vehicle_sbi.report.page.parts import (
     unit,
 )
 from vehicle_sbi.report.page.series import is_alone, series
-from vehicle_sbi.report.tables import minus
+from vehicle_sbi.report.tables.symbols import minus
 from vehicle_sbi.rounding import mean_and_std
 
 SETS = 8  # of effects that are listed

@@ -16,7 +16,7 @@ from vehicle_sbi.report import calibration
 from vehicle_sbi.report.page.page import templates
 from vehicle_sbi.report.page.run import headline
 from vehicle_sbi.report.run_folder import FinishedRun, is_finished, read
-from vehicle_sbi.report.tables import read_table
+from vehicle_sbi.report.tables.posterior import read_table
 from vehicle_sbi.words import enumerated
 
 DIAGNOSIS, RUN, CALIBRATION = "diagnosis", "run", "calibration"

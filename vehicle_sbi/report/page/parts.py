@@ -15,7 +15,8 @@ from markupsafe import Markup
 
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.report.figures import DPI
-from vehicle_sbi.report.tables import html, minus
+from vehicle_sbi.report.tables.symbols import minus
+from vehicle_sbi.report.tables.text import html
 
 CSS_PIXELS_PER_INCH = 96
 PICTURE_BYTES = 1_000_000  # of a picture that is part of the page; a larger one is shown from its file

@@ -15,7 +15,9 @@ from vehicle_sbi.report.page.charts import chart
 from vehicle_sbi.report.page.page import Page
 from vehicle_sbi.report.page.parts import Curves, Interval, Listed, Picture, Range, Ranges, Section, Table, raised, unit
 from vehicle_sbi.report.page.series import series
-from vehicle_sbi.report.tables import LEGEND, NOT_IDENTIFIED, NOT_LEARNED, for_people, minus, unidentified
+from vehicle_sbi.report.tables.posterior import NOT_IDENTIFIED, NOT_LEARNED, unidentified
+from vehicle_sbi.report.tables.symbols import minus
+from vehicle_sbi.report.tables.text import LEGEND, for_people
 from vehicle_sbi.rounding import mean_and_std
 
 POINTS = 200  # of a density
