@@ -36,13 +36,15 @@ class Moment(NamedTuple):
 
 
 class Forces(NamedTuple):
-    """Tyre forces [N] of the axles in the wheels' own axes, and the yaw moment [N m] of right less left."""
+    """Tyre forces [N] of the axles in the wheels' own axes, the yaw moment [N m] of right less left, and how far the
+    mean slip of each axle's wheels is beyond that of their mean speed."""
 
     x_f: float
     y_f: float
     x_r: float
     y_r: float
     turn: float
+    beyond: tuple[float, float]
 
 
 def car_of(record: np.void) -> dict[str, float]:
@@ -220,11 +222,12 @@ def levels(c: Car, effect: str) -> tuple[float, float]:
 # --- equations of motion --------------------------------------------------------------------------------------------
 
 
-def slip_angles(c: Car, state: np.ndarray, delta: float) -> tuple[float, float]:
-    """Equations 3 and 5."""
-    v_x, v_y, r = state[:3]
-    l_f, l_r = axles(c)
-    return delta - math.atan2(v_y + l_f * r, v_x), -math.atan2(v_y - l_r * r, v_x)
+def slip_angles(c: Car, state: np.ndarray, delta: float) -> list[tuple[float, float]]:
+    """Equations 3 and 5 [rad] for the right and the left wheel of each axle, which move at v_x +- r track/2."""
+    (v_x, v_y, r), half = state[:3], c["lateral_load_transfer_track"] / 2.0
+    places = (delta, axles(c)[0]), (0.0, -axles(c)[1])
+    right, left = ([turned - math.atan2(v_y + x * r, v_x + r * y) for turned, x in places] for y in (half, -half))
+    return [*zip(right, left, strict=True)]
 
 
 def wheel_plane_speed(c: Car, state: np.ndarray, delta: float) -> float:
@@ -246,45 +249,37 @@ def tyre_forces(
     """The forces if the front wheels stand at delta, commanded another angle, and the car accelerates with a (x, y)."""
     a_x, a_y = a
     loads = axle_loads(c, now, a_x, state[0])
-    alphas = slip_angles(c, state, delta)
     kappas = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
     lagging = [sigma > 0.0 for sigma in relaxation_lengths(c)]
-    kappas = [float(state[5 + i]) if lags else kappas[i] for i, lags in enumerate(lagging)]
-    alphas = [float(state[7 + i]) if lags else alphas[i] for i, lags in enumerate(lagging)]
+    lagged, alphas = np.reshape(state[7:11], (2, 2)), slip_angles(c, state, delta)
+    alphas = [lagged[i].tolist() if lags else alphas[i] for i, lags in enumerate(lagging)]
     (l_f, l_r), N, steady = axles(c), weight(c), state[0] * state[2]
     statics, stiff, slide = (N * l_r / c["L"], N * l_f / c["L"]), levels(c, "stiffness_level"), friction(c)
     shifted = N * c["lateral_load_transfer_front"]
     borne = max(statics[0] + shifted, 0.0), max(statics[1] - shifted, 0.0)
     pulls = implied_pulls(c, now, state[0], state[2], command, a_x)
-    found, turn, angles = [], 0.0, wheel_angles(c, state, alphas)
+    found, turn, beyond = [], 0.0, [0.0, 0.0]
     moving = moved_by(c, state, a_y)
     for i, axle in enumerate("fr"):
         C, mu = (stiff[i] * c[f"C_kappa_{axle}"], stiff[i] * c[f"C_alpha_{axle}"]), now.mu * slide[i]
         wheels, half, static = wheel_loads(c, loads[i], borne[i], moving), (C[0] / 2.0, C[1] / 2.0), statics[i] / 2.0
         if drive == "speed":
             pair = [
-                pulled_tyre(c, half[1], mu, load, static, pulls[i] / 2.0, angles[i][k], steady)
+                pulled_tyre(c, half[1], mu, load, static, pulls[i] / 2.0, alphas[i][k], steady)
                 for k, load in enumerate(wheels)
             ]
         else:
             nu = c["lateral_load_transfer_track"] / 2.0 * state[2] / state[0]
             rho = (wheels[0] - wheels[1]) / 2.0 / (3.0 * c["C_vert"] * c["R_f"])
-            pair = driven_pair(c, half, mu, wheels, static, (kappas[i], *angles[i]), (nu, rho), steady)
+            lags = float(state[5 + i]) if lagging[i] else None
+            slipping = kappas[i], lags, *alphas[i]
+            pair, unequal = driven_pair(c, half, mu, wheels, static, slipping, (nu, rho), steady)
+            beyond[i] = (nu + rho) * (unequal - rho)
         found += np.sum(pair, axis=0).tolist()
         turned = delta if axle == "f" else 0.0
         along = [x * math.cos(turned) - y * math.sin(turned) for x, y in pair]
         turn += c["lateral_load_transfer_track"] / 2.0 * (along[0] - along[1])
-    return Forces(*found, turn=turn)
-
-
-def wheel_angles(c: Car, state: np.ndarray, alphas: list[float]) -> list[tuple[float, float]]:
-    """Slip angles [rad] of each axle's right and left wheel, which move at v_x + r track/2 and v_x - r track/2."""
-    v_x, v_y, r = state[:3]
-    found, half = [], c["lateral_load_transfer_track"] / 2.0
-    for alpha, x in zip(alphas, (axles(c)[0], -axles(c)[1]), strict=True):
-        middle, right, left = (math.atan2(v_y + x * r, v_x + r * aside) for aside in (0.0, half, -half))
-        found.append((alpha + middle - right, alpha + middle - left))
-    return found
+    return Forces(*found, turn=turn, beyond=(beyond[0], beyond[1]))
 
 
 def leaning_body(c: Car) -> tuple[float, float]:
@@ -300,39 +295,48 @@ def moved_by(c: Car, state: np.ndarray, a_y: float) -> float:
     stiffness, damping = leaning_body(c)
     if stiffness == 0.0:
         return a_y
-    return 0.25 * a_y + 0.75 * float(state[9] + damping / stiffness * state[10])
+    return 0.25 * a_y + 0.75 * float(state[11] + damping / stiffness * state[12])
 
 
 def wheel_loads(c: Car, F_z: float, borne: float, a_y: float) -> tuple[float, float]:
     """Loads [N] of an axle's right and left wheel: a turn moves a share of what the axle bears of the car's weight
     from the inner one to the outer one, and no more than all that the inner one has."""
-    moved = min((c["lateral_load_transfer_uneven"] * a_y**2) ** 0.5 * borne, F_z) * np.sign(a_y)
+    moved = min((c["lateral_load_transfer_uneven"] * a_y**2) ** 0.5 * borne, max(F_z, 0.0)) * np.sign(a_y)
     return (F_z + moved) / 2.0, (F_z - moved) / 2.0
 
 
 def driven_pair(
     c: Car, C: tuple[float, float], mu: float, wheels: tuple[float, float], static: float,
-    slips: tuple[float, float, float], differ: tuple[float, float], steady: float,
-) -> list[tuple[float, float]]:  # fmt: skip
-    """Forces of both wheels of an axle with the same torque, at slips kappa, alpha_right, alpha_left: k (1 - d) and
-    k (1 + d), d as small as may be, or as near as one wheel's slip can bring them; k as in `mean_slip` of (nu, rho)."""
+    slips: tuple[float, float | None, float, float], differ: tuple[float, float], steady: float,
+) -> tuple[list[tuple[float, float]], float]:  # fmt: skip
+    """Forces of both wheels of an axle with the same torque, and k d, at slips k (1 - d) and k (1 + d), d as small as
+    may be, or as near as one wheel's slip can bring them; k is the lagged slip, or that of `mean_slip` where none lags,
+    and slips are kappa, the lagged one, alpha_right, alpha_left."""
+    kappa, lagged, *alphas = slips
+
+    def mean(d: float) -> float:
+        return mean_slip(kappa, *differ, d) if lagged is None else lagged
 
     def pair(d: float) -> list[tuple[float, float]]:
-        each, k = zip(wheels, (1.0 - d, 1.0 + d), slips[1:], strict=True), mean_slip(slips[0], *differ, d)
+        each, k = zip(wheels, (1.0 - d, 1.0 + d), alphas, strict=True), mean(d)
         return [tyre(c, C, mu, load, static, (part * k, alpha), steady) for load, part, alpha in each]
 
     def apart(d: float) -> float:
         right, left = pair(d)
-        return (right[0] * (1.0 - differ[1]) - left[0] * (1.0 + differ[1])) * np.sign(mean_slip(slips[0], *differ, 0.0))
+        return (right[0] * (1.0 - differ[1]) - left[0] * (1.0 + differ[1])) * np.sign(mean(0.0))
 
-    if mean_slip(slips[0], *differ, 0.0) == 0.0 or (wheels[0] == wheels[1] and slips[1] == slips[2]):
-        return pair(0.0)
-    sign, near = np.sign(apart(0.0)), 0.0
-    for far in (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 0.98):
-        if sign * apart(sign * far) <= 0.0:
-            return pair(root(apart, sign * near, sign * far))
-        near = far
-    return pair(sign * 0.98)
+    def split() -> float:
+        if mean(0.0) == 0.0 or (wheels[0] == wheels[1] and alphas[0] == alphas[1]):
+            return 0.0
+        sign, near = np.sign(apart(0.0)), 0.0
+        for far in (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 0.98):
+            if sign * apart(sign * far) <= 0.0:
+                return root(apart, sign * near, sign * far)
+            near = far
+        return sign * 0.98
+
+    d = split()
+    return pair(d), d * mean(d)
 
 
 def mean_slip(kappa: float, nu: float, rho: float, d: float) -> float:
@@ -380,8 +384,8 @@ def longitudinal_acceleration(c: Car, now: Moment, drive: str, state: np.ndarray
 
 
 def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """d(state)/dt for states v_x, v_y, r, omega_f, omega_r, kappa_f, kappa_r, alpha_f, alpha_r, lean and its rate, both
-    as accelerations; u in INPUTS' order."""
+    """d(state)/dt for states v_x, v_y, r, omega_f, omega_r, kappa_f, kappa_r, alpha of the front right, front left,
+    rear right and rear left wheel, lean and its rate, both as accelerations; u in INPUTS' order."""
     (v_x, v_y, r), now = state[:3], at(c, u[7], u[8])
     _, y, turn = outer_forces(c, now, v_x)
 
@@ -401,7 +405,7 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
         a_y = float(newton(excess, a_y, tol=1e-12))
     (a_x, delta, F, sideways_f), (l_f, l_r) = under(a_y), axles(c)
     loads, a_y = axle_loads(c, now, a_x, v_x), (sideways_f + F.y_r + y) / mass(c)
-    out = np.zeros(11)
+    out = np.zeros(13)
     turn += F.turn + c["lateral_cog_y"] * (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r)
     out[:3] = (
         a_x + v_y * r,
@@ -412,12 +416,13 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
         R_f, R_r = effective_radius(c, loads[0], "front"), effective_radius(c, loads[1], "rear")
         out[3:5] = (u[1] - F.x_f * R_f) / c["I_wf"], (u[2] - F.x_r * R_r) / c["I_wr"]
     kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
-    lengths = np.array(relaxation_lengths(c) * 2)
+    lengths = np.array(relaxation_lengths(c))[[0, 1, 0, 0, 1, 1]]
     lag = np.where(lengths > 0.0, v_x / np.maximum(lengths, 1e-12), 0.0)
-    out[5:9] = lag * (np.array([*kappa, *slip_angles(c, state, delta)]) - state[5:9])
+    now = np.array([*np.add(kappa, F.beyond), *np.ravel(slip_angles(c, state, delta))])
+    out[5:11] = lag * (now - state[5:11])
     stiffness, damping = leaning_body(c)
     if stiffness > 0.0:
-        out[9:] = state[10], stiffness * (a_y - state[9]) - damping * state[10]
+        out[11:] = state[12], stiffness * (a_y - state[11]) - damping * state[12]
     return out
 
 
@@ -437,15 +442,15 @@ def impose(drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
 def start(c: Car, drive: str, u: np.ndarray, initial: np.ndarray) -> np.ndarray:
     """Wheels rolling freely on their static load (or as recorded), lagged slips equal to the slips, the body leaning as
     in a steady turn."""
-    state, (l_f, l_r) = np.zeros(11), axles(c)
+    state, (l_f, l_r) = np.zeros(13), axles(c)
     state[:3] = initial
     static = weight(c) * l_r / c["L"], weight(c) * l_f / c["L"]
     R_f, R_r = effective_radius(c, static[0], "front"), effective_radius(c, static[1], "rear")
     state[3:5] = wheel_plane_speed(c, state, u[0]) / R_f, state[0] / R_r
     state = impose(drive, state, u)
     kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, u[0], static)
-    state[5:9] = *kappa, *slip_angles(c, state, u[0])
-    state[9] = initial[0] * initial[2]
+    state[5:11] = *kappa, *np.ravel(slip_angles(c, state, u[0]))
+    state[11] = initial[0] * initial[2]
     return state
 
 

@@ -15,7 +15,7 @@ F_Z, C = 6e3, 8e4  # load [N] and stiffness [N, N/rad] of the axle, at a frictio
 def axle(q: float, kappa: float, tan_alpha: float, a_y: float, *, load: float = 1.0, **more: float):
     """Forces (F_x, F_y) [N] of the axle under `load` times its static one."""
     p = derived(lateral_load_transfer_uneven=q, search=WHOLE, **more)
-    slips = Slips(kappa, 0.0, tan_alpha, tan_alpha, 0.0, 0.0)
+    slips = Slips(kappa, 0.0, 0.0, 0.0, tan_alpha, tan_alpha, 0.0, 0.0)
     found = axle_force(p, Tyres(C, C, 1.0, load * F_Z, load, a_y), slips, a_y)
     assert found.even
     return found.F_x, found.F_y
@@ -95,7 +95,7 @@ def test_wheels_that_lock_or_spin_have_no_more_than_the_grip(kappa: float) -> No
 def test_a_given_pull_is_shared_between_both_wheels(F_x: float) -> None:
     # Each wheel has its half, so an axle of even wheels is one of two; uneven ones give no more.
     p, even = derived(lateral_load_transfer_uneven=0.01), derived()
-    slips = Slips(0.0, 0.0, 0.06, 0.06, 0.0, 0.0)
+    slips = Slips(0.0, 0.0, 0.0, 0.0, 0.06, 0.06, 0.0, 0.0)
     tyres = Tyres(C, C, 1.0, F_Z, 1.0, 4.0)
     whole = axle_side_force(even, tyres, F_x, slips, 4.0)
     level = axle_side_force(p, tyres, F_x, slips, 1e-9)

@@ -32,7 +32,7 @@ from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, SPRINGS_BEAR, derive, lean_period, lean_share
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 from vehicle_sbi.physics.simulation import FINISHED, substeps_for
-from vehicle_sbi.physics.single_track import DRIVES, INPUTS, STATES, start
+from vehicle_sbi.physics.single_track import ALPHA_FL, ALPHA_FR, DRIVES, INPUTS, STATES, start
 from vehicle_sbi.physics.tyre import dugoff_side
 from vehicle_sbi.physics.vehicle import GENERIC_PRIORS
 
@@ -45,7 +45,9 @@ UNDERSTEER = M / L * (L_R / C_F - L_F / C_R)
 
 def rolling(v_x: float, radius: float = 0.344) -> np.ndarray:
     """The state of a car that rolls straight on."""
-    return np.array([v_x, 0.0, 0.0, v_x / radius, v_x / radius, 0.0, 0.0, 0.0, 0.0])
+    state = np.zeros(STATES)
+    state[[0, 3, 4]] = v_x, v_x / radius, v_x / radius
+    return state
 
 
 # --- closed forms ---------------------------------------------------------------------------------------------------
@@ -313,7 +315,9 @@ def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, n
     much = rng.choice([1.0, 0.03])
     most = 0.02 if two else 0.3
     wheel = v_x / radius * (1.0 + 0.7 * most * rng.uniform(-1.0, 1.0, 2))
-    slips, angles = much * most * rng.uniform(-1.0, 1.0, 2), much * rng.uniform(-0.2, 0.2, 2)
+    slips, angles = much * most * rng.uniform(-1.0, 1.0, 2), much * rng.uniform(-0.2, 0.2, 4)
+    if not records["lateral_load_transfer_track"][0]:
+        angles = np.repeat(angles[:2], 2)  # both wheels of an axle have the same
     records["lateral_load_transfer_period"] += 0.1  # as it is for a step of 5 ms
     lean = rng.uniform(-8.0, 8.0, 2)
     state = np.array([v_x, *rng.uniform(-0.5, 0.5, 2), *wheel, *slips, *angles, *lean])
@@ -348,7 +352,7 @@ def test_start_is_settled(drive: str) -> None:
     derive(records[0])
     start(records[0], DRIVES[drive], u, np.array([10.5, 0.1, 0.02]), state)
     d = rate_of(records, drive, state, u)
-    settling = d[5:9] * 6e4 / 1.5e5 / state[0]
+    settling = d[5:11] * 6e4 / 1.5e5 / state[0]
     a_x = abs(d[0] - state[1] * state[2])
     assert np.abs(settling[2:]).max() < 4 * EPS
     assert np.abs(settling[:2]).max() <= 1500.0 * 0.5 * a_x / (6.0 * 2.7 * 2e5) / 0.3 + 4 * EPS
@@ -386,13 +390,13 @@ def test_relaxation_acts_with_a_vehicle_file_that_has_no_carcass_stiffness() -> 
     # The front force is 63.2 % of its own after half a metre has been rolled (the rear has none yet): r' = l_f F / I_z.
     p, v = record_of(NO_CARCASS, relaxation_front=0.5, relaxation_rear=0.5), 10.0
     derive(p[0])
-    state, u = np.zeros(9), np.zeros(len(INPUTS))
+    state, u = np.zeros(STATES), np.zeros(len(INPUTS))
     state[0], u[3], u[0] = v, v, 1e-3
     lagging = rate_of(p, "speed", state, u)
-    assert lagging[7] == pytest.approx(v / 0.5 * 1e-3)  # d(alpha^)/dt = v/sigma (alpha - alpha^)
-    state[7] = (1.0 - math.exp(-1.0)) * 1e-3
+    assert lagging[ALPHA_FR] == pytest.approx(v / 0.5 * 1e-3)  # d(alpha^)/dt = v/sigma (alpha - alpha^)
+    state[[ALPHA_FR, ALPHA_FL]] = (1.0 - math.exp(-1.0)) * 1e-3
     reached = rate_of(p, "speed", state, u)[2]
-    state[7] = 1e-3
+    state[[ALPHA_FR, ALPHA_FL]] = 1e-3
     assert reached / rate_of(p, "speed", state, u)[2] == pytest.approx(1.0 - math.exp(-1.0), rel=1e-5)
 
 

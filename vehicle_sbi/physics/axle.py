@@ -9,7 +9,8 @@ acceleration and height, not from what an axle carries at the time. An open diff
 give both wheels the same torque, so d is where F_x,R (1 - rho) = F_x,L (1 + rho): the inner wheel slips more (Rajamani,
 Vehicle Dynamics and Control, sec. 15.2). Wheels that stand apart move at v_x (1 +- nu), which makes their slip angles
 differ, and roll on radii R (1 -+ rho). What an axle has of a wheel speed is the mean of both, so the mean
-slip k is the axle's but for products of what differs between them, to second order.
+slip k is the axle's kappa but for products of what differs between them, to second order. Of slips that lag, the mean
+of both wheels does.
 """
 
 import math
@@ -37,9 +38,12 @@ class Tyres(NamedTuple):
 
 
 class Slips(NamedTuple):
-    """How both wheels of an axle slip: along them by their mean speed, tangents of their slip angles, how unequal."""
+    """How both wheels of an axle slip: along them by their mean speed, the mean slip at which a share of theirs lags,
+    tangents of their slip angles, how unequal."""
 
     kappa: float
+    lagged: float
+    share: float
     faster: float  # share nu by which the right wheel moves faster, the left one slower
     tan_right: float
     tan_left: float
@@ -48,16 +52,24 @@ class Slips(NamedTuple):
 
 
 class AxleForce(NamedTuple):
-    """Forces [N] of an axle along and across its wheels, the right wheel's less the left one's, and where to go on with
-    the search for how unequal their slips are; `even` where it has ended."""
+    """Forces [N] of an axle along and across its wheels, the right wheel's less the left one's, by how much their mean
+    slip without lag is beyond kappa, and where to go on with the search for how unequal their slips are; `even` where
+    it has ended."""
 
     F_x: float
     F_y: float
     more_x: float
     more_y: float
+    beyond: float
     split: float
     slope: float
     even: bool
+
+
+@compiled
+def mixed(share: float, lagged: float, now: float) -> float:
+    """A slip of which a share lags."""
+    return share * lagged + (1.0 - share) * now
 
 
 @compiled
@@ -91,17 +103,18 @@ def axle_force(p, axle: Tyres, slips: Slips, a_y: float) -> AxleForce:
     may jump for ever: in the end the split is KEPT as it is.
     """
     if not wheels_differ(p):
-        F_x, F_y = slipping(p, axle, slips.kappa, slips.tan_right)
-        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, True)
+        F_x, F_y = slipping(p, axle, mixed(slips.share, slips.lagged, slips.kappa), slips.tan_right)
+        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, 0.0, True)
     s = uneven(p, axle.load, a_y)
     right, left = wheel(axle, 1.0 + s), wheel(axle, 1.0 - s)
     rho = s * axle.F_z / (6.0 * p.C_vert * p.R_f)
     differ = slips.faster + rho
-    kappa, d, slope = slips.kappa - differ * rho, slips.split, (slips.slope if p.search == HASTY else 0.0)
-    x_r = y_r = x_l = y_l = led = more_led = 0.0
+    kappa = mixed(slips.share, slips.lagged, slips.kappa - differ * rho)
+    at_once, d, slope = (1.0 - slips.share) * differ, slips.split, (slips.slope if p.search == HASTY else 0.0)
+    mean = x_r = y_r = x_l = y_l = led = more_led = 0.0
     low, high, even = -MOST, MOST, False
     for step in range(SPLITS + 1):
-        mean = kappa / (1.0 - differ * d)
+        mean = kappa / (1.0 - at_once * d)
         x_r, y_r = slipping(p, right, (1.0 - d) * mean, slips.tan_right)
         x_l, y_l = slipping(p, left, (1.0 + d) * mean, slips.tan_left)
         both, more = abs(x_r + x_l), ((1.0 - rho) * x_r - (1.0 + rho) * x_l) * math.copysign(1.0, kappa)
@@ -119,7 +132,7 @@ def axle_force(p, axle: Tyres, slips: Slips, a_y: float) -> AxleForce:
         d = following if low < following < high else 0.5 * (low + high)
         if p.search == HASTY and slope != 0.0 and abs(more) <= NEAR * both:
             break
-    return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, d, slope, even)
+    return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, differ * (d * mean - rho), d, slope, even)
 
 
 @compiled
@@ -127,8 +140,8 @@ def axle_side_force(p, axle: Tyres, F_x: float, slips: Slips, a_y: float) -> Axl
     """Of an axle whose longitudinal force [N] is given and shared equally between its wheels."""
     if not wheels_differ(p):
         F_x, F_y = pulling(p, axle, F_x, slips.tan_right)
-        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, True)
+        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, 0.0, True)
     s = uneven(p, axle.load, a_y)
     x_r, y_r = pulling(p, wheel(axle, 1.0 + s), 0.5 * F_x, slips.tan_right)
     x_l, y_l = pulling(p, wheel(axle, 1.0 - s), 0.5 * F_x, slips.tan_left)
-    return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, 0.0, 0.0, True)
+    return AxleForce(x_r + x_l, y_r + y_l, x_r - x_l, y_r - y_l, 0.0, 0.0, 0.0, True)

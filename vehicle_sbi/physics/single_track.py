@@ -6,17 +6,17 @@
     I_w domega/dt       = T - F_x R_eff                                  for each axle
     dkappa^/dt          = |v_x|/sigma (kappa - kappa^), and alpha^ alike  (the paper's equations 1 to 11)
 
-States: v_x, v_y [m/s], r [rad/s], omega_f, omega_r [rad/s], the lagged slips, and the lean of the body with its rate,
-in units of the lateral acceleration that it stands for [m/s^2]. A drive mode says what is given and
-what is solved for: TORQUE integrates all of it, WHEEL_SPEED takes the measured wheel speeds, SPEED the measured v_x
-and leaves only the lateral equations.
+States: v_x, v_y [m/s], r [rad/s], omega_f, omega_r [rad/s], the lagged slips (angles of right and left wheels), and
+the lean of the body with its rate, in units of the lateral acceleration that it stands for [m/s^2]. A drive mode says
+what is given and what is solved for: TORQUE integrates all of it, WHEEL_SPEED takes the measured wheel speeds, SPEED
+the measured v_x and leaves only the lateral equations.
 """
 
 import math
 from typing import NamedTuple
 
 from vehicle_sbi.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.axle import Slips, Tyres, axle_force, axle_side_force
+from vehicle_sbi.physics.axle import Slips, Tyres, axle_force, axle_side_force, mixed
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.effects import (
     ROLL_DAMPING,
@@ -40,8 +40,8 @@ INPUTS = (
 )  # fmt: skip
 DELTA, T_F, T_R, U_V_X, U_V_X_DOT, U_OMEGA_F, U_OMEGA_R, TIME, U_LATENT = range(len(INPUTS))
 
-STATES = 11
-V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_F, ALPHA_R, LEAN, LEANING = range(STATES)
+STATES = 13
+V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_FR, ALPHA_FL, ALPHA_RR, ALPHA_RL, LEAN, LEANING = range(STATES)
 
 STEEPEST = 1.5  # [rad], the largest slip angle whose tangent is taken
 
@@ -101,13 +101,12 @@ class Car(NamedTuple):
     outside: Outside
     v_x: float  # along both axles [m/s]
     v_yf: float  # across the front axle [m/s]
-    beta_f: float  # angle of the front axle's motion [rad]
     omega_f: float  # [rad/s]
     omega_r: float
-    kappa_f: float  # lagged slips, the front slip angle [rad]
+    kappa_f: float  # lagged slips, the front ones across too [rad]
     kappa_r: float
-    alpha_f: float
-    apart_f: Wheels  # by how much front wheels move in other directions than the middle of their axle [rad]
+    alpha_f: Wheels
+    moving_f: Wheels  # where front wheels move [rad]
     tan_f: Wheels  # tangents of slip angles, of the front ones as far as they lag, of the rear ones as they act
     tan_r: Wheels
     pull_f: float  # longitudinal forces [N] where the speed is given
@@ -138,6 +137,8 @@ class Forces(NamedTuple):
     F_lateral_f: float  # across the car [N]
     F_xr: float
     F_yr: float
+    beyond_f: float  # by how much the mean slip of an axle's wheels is beyond that of their mean speed
+    beyond_r: float
     M_z: float  # yaw moment [N m] of what differs between right and left
 
 
@@ -170,20 +171,19 @@ def rolling(p, car: Car, front: Front, F_zf: float, F_zr: float) -> Rolling:
 
 
 @compiled
-def mixed(share: float, lagged: float, now: float) -> float:
-    """A slip of which a share lags."""
-    return share * lagged + (1.0 - share) * now
+def moving(p, v_across: float, speed: float, r: float) -> Wheels:
+    """Directions [rad] in which an axle's wheels move, at v_x +- r track/2."""
+    if p.lateral_load_transfer_track == 0.0:
+        middle = math.atan(v_across / speed)
+        return Wheels(middle, middle)
+    more = 0.5 * p.lateral_load_transfer_track * r
+    return Wheels(math.atan(v_across / regular(speed + more)), math.atan(v_across / regular(speed - more)))
 
 
 @compiled
-def apart(p, v_across: float, speed: float, r: float) -> Wheels:
-    """By how much wheels move in other directions [rad] than the middle of their axle, at v_x +- r track/2."""
-    if p.lateral_load_transfer_track == 0.0:
-        return Wheels(0.0, 0.0)
-    more, beta = 0.5 * p.lateral_load_transfer_track * r, math.atan(v_across / speed)
-    return Wheels(
-        math.atan(v_across / regular(speed + more)) - beta, math.atan(v_across / regular(speed - more)) - beta
-    )
+def mixed_angles(share: float, lagged: Wheels, delta: float, moving: Wheels) -> Wheels:
+    """Slip angles [rad] of wheels at an angle delta, of which a share lags."""
+    return Wheels(mixed(share, lagged.right, delta - moving.right), mixed(share, lagged.left, delta - moving.left))
 
 
 @compiled
@@ -195,12 +195,10 @@ def right_faster(p, v_x: float, steady: float) -> float:
 
 
 @compiled
-def tangents(alpha: float, moving: Wheels) -> Wheels:
-    """Tangents of both wheels' slip angles, alpha [rad] in the middle of the axle."""
-    if moving.right == moving.left:
-        middle = tangent(alpha)
-        return Wheels(middle, middle)
-    return Wheels(tangent(alpha - moving.right), tangent(alpha - moving.left))
+def tangents(alpha: Wheels) -> Wheels:
+    """Tangents of both wheels' slip angles [rad]."""
+    right = tangent(alpha.right)
+    return Wheels(right, right if alpha.left == alpha.right else tangent(alpha.left))
 
 
 @compiled
@@ -222,41 +220,44 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     out, relaxed = car.outside, car.share_f == 1.0 and car.share_r == 1.0
     F_zf, F_zr = loads(p, car, a_x)
     axle_f, axle_r = tyres(p, out, F_zf, F_zr)
-    tan_f, kappa_f, kappa_r = car.tan_f, car.kappa_f, car.kappa_r
+    tan_f, kappa_f, kappa_r = car.tan_f, 0.0, 0.0
     if car.share_f < 1.0:
-        tan_f = tangents(mixed(car.share_f, car.alpha_f, front.delta - car.beta_f), car.apart_f)
+        tan_f = tangents(mixed_angles(car.share_f, car.alpha_f, front.delta, car.moving_f))
     if not relaxed and car.drive != SPEED:
-        _, _, now_f, now_r = rolling(p, car, front, F_zf, F_zr)
-        kappa_f, kappa_r = mixed(car.share_f, kappa_f, now_f), mixed(car.share_r, kappa_r, now_r)
+        _, _, kappa_f, kappa_r = rolling(p, car, front, F_zf, F_zr)
     faster = right_faster(p, car.v_x, out.steady)
-    slips_f = Slips(kappa_f, faster, tan_f.right, tan_f.left, p.split_f, p.slope_f)
-    slips_r = Slips(kappa_r, faster, car.tan_r.right, car.tan_r.left, p.split_r, p.slope_r)
-    moving = car.at_once * a_y + car.leant
+    slips_f = Slips(kappa_f, car.kappa_f, car.share_f, faster, tan_f.right, tan_f.left, p.split_f, p.slope_f)
+    slips_r = Slips(kappa_r, car.kappa_r, car.share_r, faster, car.tan_r.right, car.tan_r.left, p.split_r, p.slope_r)
+    moved = car.at_once * a_y + car.leant
     if car.drive == SPEED:
-        f = axle_side_force(p, axle_f, car.pull_f, slips_f, p.moved_f * moving)
-        b = axle_side_force(p, axle_r, car.pull_r, slips_r, p.moved_r * moving)
+        f = axle_side_force(p, axle_f, car.pull_f, slips_f, p.moved_f * moved)
+        b = axle_side_force(p, axle_r, car.pull_r, slips_r, p.moved_r * moved)
     else:
-        f, b = axle_force(p, axle_f, slips_f, p.moved_f * moving), axle_force(p, axle_r, slips_r, p.moved_r * moving)
+        f, b = axle_force(p, axle_f, slips_f, p.moved_f * moved), axle_force(p, axle_r, slips_r, p.moved_r * moved)
         p.split_f, p.slope_f, p.split_r, p.slope_r = f.split, f.slope, b.split, b.slope
     F_along = f.F_x * front.cosine - f.F_y * front.sine + b.F_x
     F_lateral_f = f.F_x * front.sine + f.F_y * front.cosine
     M_z = 0.5 * p.lateral_load_transfer_track * (f.more_x * front.cosine - f.more_y * front.sine + b.more_x)
     solved = a_x if car.drive == SPEED else (F_along + out.push_x) / p.mass
-    moved = abs(p.load_transfer * (solved - a_x))
+    shifted = abs(p.load_transfer * (solved - a_x))
     final = relaxed and ignores_load(p)
-    final = final and grips(axle_f.mu, F_zf - moved, f.F_x, f.F_y) and grips(axle_r.mu, F_zr - moved, b.F_x, b.F_y)
+    final = final and grips(axle_f.mu, F_zf - shifted, f.F_x, f.F_y)
+    final = final and grips(axle_r.mu, F_zr - shifted, b.F_x, b.F_y)
     solved_y = (F_lateral_f + b.F_y + out.push_y) / p.mass if moves_load_across(p) else a_y
-    return Forces(solved, solved_y, final, f.even and b.even, f.F_x, f.F_y, F_along, F_lateral_f, b.F_x, b.F_y, M_z)
+    return Forces(
+        solved, solved_y, final, f.even and b.even, f.F_x, f.F_y, F_along, F_lateral_f, b.F_x, b.F_y, f.beyond,
+        b.beyond, M_z,
+    )  # fmt: skip
 
 
 @compiled
 def derivatives(p, drive: int, u, state, rate) -> None:
-    """Fill rate (11,) with d(state)/dt; what of v_x and v_y it has on entry is where the load-transfer loop starts."""
+    """Fill rate (13,) with d(state)/dt; what of v_x and v_y it has on entry is where the load-transfer loop starts."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     speed, v_yf = regular(v_x), v_y + p.l_front * r
     share_f, share_r = lag_share(p, p.sigma_f, speed), lag_share(p, p.sigma_r, speed)
-    alpha_r = -math.atan((v_y - p.l_rear * r) / speed)
-    apart_f = apart(p, v_yf, speed, r)
+    moving_f, moving_r = moving(p, v_yf, speed, r), moving(p, v_y - p.l_rear * r, speed, r)
+    alpha_f, alpha_r = Wheels(state[ALPHA_FR], state[ALPHA_FL]), Wheels(state[ALPHA_RR], state[ALPHA_RL])
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     out = outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT])
     pull_f, pull_r = pulls(p, implied(p, out, given - v_y * r)) if drive == SPEED else (0.0, 0.0)
@@ -269,15 +270,14 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         outside=out,
         v_x=v_x,
         v_yf=v_yf,
-        beta_f=math.atan(v_yf / speed),
         omega_f=state[OMEGA_F],
         omega_r=state[OMEGA_R],
         kappa_f=state[KAPPA_F],
         kappa_r=state[KAPPA_R],
-        alpha_f=state[ALPHA_F],
-        apart_f=apart_f,
-        tan_f=tangents(state[ALPHA_F], apart_f),
-        tan_r=tangents(mixed(share_r, state[ALPHA_R], alpha_r), apart(p, v_y - p.l_rear * r, speed, r)),
+        alpha_f=alpha_f,
+        moving_f=moving_f,
+        tan_f=tangents(alpha_f),
+        tan_r=tangents(mixed_angles(share_r, alpha_r, 0.0, moving_r)),
         pull_f=pull_f,
         pull_r=pull_r,
         at_once=1.0 - leaning,
@@ -295,10 +295,12 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     rate[OMEGA_F] = (T_f - found.F_xf * rolls.R_f) / p.I_wf if drive == TORQUE else 0.0
     rate[OMEGA_R] = (T_r - found.F_xr * rolls.R_r) / p.I_wr if drive == TORQUE else 0.0
     fade_f, fade_r = lag_rate(p, p.sigma_f, speed), lag_rate(p, p.sigma_r, speed)
-    rate[KAPPA_F] = fade_f * (rolls.kappa_f - state[KAPPA_F])
-    rate[KAPPA_R] = fade_r * (rolls.kappa_r - state[KAPPA_R])
-    rate[ALPHA_F] = fade_f * (front.delta - car.beta_f - state[ALPHA_F])
-    rate[ALPHA_R] = fade_r * (alpha_r - state[ALPHA_R])
+    rate[KAPPA_F] = fade_f * (rolls.kappa_f + found.beyond_f - state[KAPPA_F])
+    rate[KAPPA_R] = fade_r * (rolls.kappa_r + found.beyond_r - state[KAPPA_R])
+    rate[ALPHA_FR] = fade_f * (front.delta - moving_f.right - alpha_f.right)
+    rate[ALPHA_FL] = fade_f * (front.delta - moving_f.left - alpha_f.left)
+    rate[ALPHA_RR] = fade_r * (-moving_r.right - alpha_r.right)
+    rate[ALPHA_RL] = fade_r * (-moving_r.left - alpha_r.left)
     off = rate[V_Y] + v_x * r - state[LEAN] - damping * state[LEANING]
     rate[LEAN], rate[LEANING] = (state[LEANING], off / (T * T)) if leaning > 0.0 else (0.0, 0.0)
 
@@ -326,8 +328,10 @@ def start(p, drive: int, u, initial, state) -> None:
     state[OMEGA_F], state[OMEGA_R] = v_wheel_f / R_f, state[V_X] / R_r
     impose(p, drive, u, state)
     speed = regular(state[V_X])
-    state[ALPHA_F] = u[DELTA] - math.atan((state[V_Y] + p.l_front * state[R]) / speed)
-    state[ALPHA_R] = -math.atan((state[V_Y] - p.l_rear * state[R]) / speed)
+    front = moving(p, state[V_Y] + p.l_front * state[R], speed, state[R])
+    rear = moving(p, state[V_Y] - p.l_rear * state[R], speed, state[R])
+    state[ALPHA_FR], state[ALPHA_FL] = u[DELTA] - front.right, u[DELTA] - front.left
+    state[ALPHA_RR], state[ALPHA_RL] = -rear.right, -rear.left
     state[KAPPA_F] = slip(R_f * state[OMEGA_F], v_wheel_f) if drive == WHEEL_SPEED else 0.0
     state[KAPPA_R] = slip(R_r * state[OMEGA_R], state[V_X]) if drive == WHEEL_SPEED else 0.0
 
