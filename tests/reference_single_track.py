@@ -251,7 +251,7 @@ def tyre_forces(
     loads = axle_loads(c, now, a_x, state[0])
     kappas = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
     lagging = [sigma > 0.0 for sigma in relaxation_lengths(c)]
-    lagged, alphas = np.reshape(state[7:11], (2, 2)), slip_angles(c, state, delta)
+    lagged, alphas = np.reshape(state[7:11], (2, 2)).T, slip_angles(c, state, delta)
     alphas = [lagged[i].tolist() if lags else alphas[i] for i, lags in enumerate(lagging)]
     (l_f, l_r), N, steady = axles(c), weight(c), state[0] * state[2]
     statics, stiff, slide = (N * l_r / c["L"], N * l_f / c["L"]), levels(c, "stiffness_level"), friction(c)
@@ -384,8 +384,8 @@ def longitudinal_acceleration(c: Car, now: Moment, drive: str, state: np.ndarray
 
 
 def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """d(state)/dt for states v_x, v_y, r, omega_f, omega_r, kappa_f, kappa_r, alpha of the front right, front left,
-    rear right and rear left wheel, lean and its rate, both as accelerations; u in INPUTS' order."""
+    """d(state)/dt for states v_x, v_y, r, omega_f, omega_r, kappa_f, kappa_r, alpha of the front right, rear right,
+    front left and rear left wheel, lean and its rate, both as accelerations; u in INPUTS' order."""
     (v_x, v_y, r), now = state[:3], at(c, u[7], u[8])
     _, y, turn = outer_forces(c, now, v_x)
 
@@ -416,9 +416,9 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
         R_f, R_r = effective_radius(c, loads[0], "front"), effective_radius(c, loads[1], "rear")
         out[3:5] = (u[1] - F.x_f * R_f) / c["I_wf"], (u[2] - F.x_r * R_r) / c["I_wr"]
     kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
-    lengths = np.array(relaxation_lengths(c))[[0, 1, 0, 0, 1, 1]]
+    lengths = np.array(relaxation_lengths(c))[[0, 1, 0, 1, 0, 1]]
     lag = np.where(lengths > 0.0, v_x / np.maximum(lengths, 1e-12), 0.0)
-    now = np.array([*np.add(kappa, F.beyond), *np.ravel(slip_angles(c, state, delta))])
+    now = np.array([*np.add(kappa, F.beyond), *np.transpose(slip_angles(c, state, delta)).flat])
     out[5:11] = lag * (now - state[5:11])
     stiffness, damping = leaning_body(c)
     if stiffness > 0.0:
@@ -449,7 +449,7 @@ def start(c: Car, drive: str, u: np.ndarray, initial: np.ndarray) -> np.ndarray:
     state[3:5] = wheel_plane_speed(c, state, u[0]) / R_f, state[0] / R_r
     state = impose(drive, state, u)
     kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, u[0], static)
-    state[5:11] = *kappa, *np.ravel(slip_angles(c, state, u[0]))
+    state[5:11] = *kappa, *np.transpose(slip_angles(c, state, u[0])).flat
     state[11] = initial[0] * initial[2]
     return state
 

@@ -32,7 +32,7 @@ from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, SPRINGS_BEAR, derive, lean_period, lean_share
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 from vehicle_sbi.physics.simulation import FINISHED, substeps_for
-from vehicle_sbi.physics.single_track import ALPHA_FL, ALPHA_FR, DRIVES, INPUTS, STATES, start
+from vehicle_sbi.physics.single_track import ALPHA_FL, ALPHA_FR, DRIVES, INPUTS, STATES, start, states
 from vehicle_sbi.physics.tyre import dugoff_side
 from vehicle_sbi.physics.vehicle import GENERIC_PRIORS
 
@@ -317,7 +317,7 @@ def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, n
     wheel = v_x / radius * (1.0 + 0.7 * most * rng.uniform(-1.0, 1.0, 2))
     slips, angles = much * most * rng.uniform(-1.0, 1.0, 2), much * rng.uniform(-0.2, 0.2, 4)
     if not records["lateral_load_transfer_track"][0]:
-        angles = np.repeat(angles[:2], 2)  # both wheels of an axle have the same
+        angles = np.tile(angles[:2], 2)  # both wheels of an axle have the same
     records["lateral_load_transfer_period"] += 0.1  # as it is for a step of 5 ms
     lean = rng.uniform(-8.0, 8.0, 2)
     state = np.array([v_x, *rng.uniform(-0.5, 0.5, 2), *wheel, *slips, *angles, *lean])
@@ -336,7 +336,8 @@ def test_right_hand_side_agrees_with_the_reference(drive: str, relaxed: bool) ->
     for _ in range(200):
         records, state, u = random_drive(rng, relaxed)
         expected = reference.rates(reference.car_of(records[0]), drive, state, u)
-        assert rate_of(records, drive, state, u) == pytest.approx(expected, rel=1e-9, abs=1e-5)
+        changing = slice(states(records[0]))
+        assert rate_of(records, drive, state, u)[changing] == pytest.approx(expected[changing], rel=1e-9, abs=1e-5)
 
 
 # --- where it starts ------------------------------------------------------------------------------------------------

@@ -53,6 +53,12 @@ OMEGA, KAPPA, ALPHA = 7, 7 + WHEELS, 7 + 2 * WHEELS  # the first of four each
 
 
 @compiled
+def states(_) -> int:
+    """How many of the states change anything."""
+    return STATES
+
+
+@compiled
 def wheel_speed(v_axle: float, r: float, y: float, R_e: float) -> float:
     """Speed [rad/s] of a wheel at y [m] left of the middle of an axle whose mean wheel speed is `v_axle` [rad/s]."""
     return v_axle - r * y / R_e

@@ -66,9 +66,9 @@ def blend(u, k: int, share: float, out) -> None:
 
 
 @compiled
-def advance(state, rate, h: float, out) -> None:
-    """out = state + h rate."""
-    for i in range(len(state)):
+def advance(states: int, state, rate, h: float, out) -> None:
+    """out = state + h rate, of so many states."""
+    for i in range(states):
         out[i] = state[i] + h * rate[i]
 
 
@@ -106,7 +106,7 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
     state, trial, rate, total = (
         np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES), np.zeros(model.STATES),
     )  # fmt: skip
-    now, h, outcome = np.zeros(u.shape[1]), dt / substeps, FINISHED
+    now, h, outcome, states = np.zeros(u.shape[1]), dt / substeps, FINISHED, model.states(p)
     p.step = h
     p.split_f = p.split_r = p.slope_f = p.slope_r = 0.0
     for evaluation in range(4 * substeps * (u.shape[0] - 1) + 1):
@@ -118,7 +118,7 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
             perturb(p, C, stiffness_noise, k)
         if evaluation == 0:
             model.start(p, drive, now, initial, state)
-        advance(state, rate, share * h, trial)
+        advance(states, state, rate, share * h, trial)
         model.impose(p, drive, now, trial)
         model.derivatives(p, drive, now, trial, rate)
         if sampled:
@@ -127,7 +127,7 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
             if outcome != FINISHED:
                 break
         weight = h / 6.0 if stage % 3 == 0 else h / 3.0
-        for i in range(model.STATES):
+        for i in range(states):
             total[i] = weight * rate[i] + (trial[i] if stage == 0 else total[i])
             state[i] = total[i] if stage == 3 else state[i]
     p.C_kappa_f, p.C_kappa_r, p.C_alpha_f, p.C_alpha_r = C

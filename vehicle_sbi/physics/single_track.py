@@ -28,6 +28,7 @@ from vehicle_sbi.physics.effects import (
     lean_share,
     moves_load_across,
     pulls,
+    wheels_differ,
 )
 from vehicle_sbi.physics.tyre import effective_radius, grips
 
@@ -41,7 +42,8 @@ INPUTS = (
 DELTA, T_F, T_R, U_V_X, U_V_X_DOT, U_OMEGA_F, U_OMEGA_R, TIME, U_LATENT = range(len(INPUTS))
 
 STATES = 13
-V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_FR, ALPHA_FL, ALPHA_RR, ALPHA_RL, LEAN, LEANING = range(STATES)
+V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_FR, ALPHA_RR, ALPHA_FL, ALPHA_RL, LEAN, LEANING = range(STATES)
+ALIKE = 9  # of these states a car has whose wheels are alike
 
 STEEPEST = 1.5  # [rad], the largest slip angle whose tangent is taken
 
@@ -251,18 +253,30 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
 
 
 @compiled
+def states(p) -> int:
+    """How many of the states, the first ones, change anything."""
+    return STATES if wheels_differ(p) else ALIKE
+
+
+@compiled
 def derivatives(p, drive: int, u, state, rate) -> None:
-    """Fill rate (13,) with d(state)/dt; what of v_x and v_y it has on entry is where the load-transfer loop starts."""
+    """Fill rate (13,) with d(state)/dt of the states that change anything.
+
+    What of v_x and v_y it has on entry is where the load-transfer loop starts.
+    """
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     speed, v_yf = regular(v_x), v_y + p.l_front * r
     share_f, share_r = lag_share(p, p.sigma_f, speed), lag_share(p, p.sigma_r, speed)
     moving_f, moving_r = moving(p, v_yf, speed, r), moving(p, v_y - p.l_rear * r, speed, r)
-    alpha_f, alpha_r = Wheels(state[ALPHA_FR], state[ALPHA_FL]), Wheels(state[ALPHA_RR], state[ALPHA_RL])
+    alpha_f, alpha_r = Wheels(state[ALPHA_FR], state[ALPHA_FR]), Wheels(state[ALPHA_RR], state[ALPHA_RR])
+    differ, leaning, leant = wheels_differ(p), 0.0, 0.0
+    if differ:
+        alpha_f, alpha_r = Wheels(alpha_f.right, state[ALPHA_FL]), Wheels(alpha_r.right, state[ALPHA_RL])
+        leaning = lean_share(p)
+        leant = leaning * (state[LEAN] + 2.0 * ROLL_DAMPING * lean_period(p) * state[LEANING])
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     out = outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT])
     pull_f, pull_r = pulls(p, implied(p, out, given - v_y * r)) if drive == SPEED else (0.0, 0.0)
-    leaning, T = lean_share(p), lean_period(p)
-    damping = 2.0 * ROLL_DAMPING * T
     car = Car(
         drive=drive,
         share_f=share_f,
@@ -281,7 +295,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         pull_f=pull_f,
         pull_r=pull_r,
         at_once=1.0 - leaning,
-        leant=leaning * (state[LEAN] + damping * state[LEANING]),
+        leant=leant,
     )
     found, front, a_x, _ = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
     F_zf, F_zr = loads(p, car, a_x)
@@ -298,11 +312,21 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     rate[KAPPA_F] = fade_f * (rolls.kappa_f + found.beyond_f - state[KAPPA_F])
     rate[KAPPA_R] = fade_r * (rolls.kappa_r + found.beyond_r - state[KAPPA_R])
     rate[ALPHA_FR] = fade_f * (front.delta - moving_f.right - alpha_f.right)
-    rate[ALPHA_FL] = fade_f * (front.delta - moving_f.left - alpha_f.left)
     rate[ALPHA_RR] = fade_r * (-moving_r.right - alpha_r.right)
-    rate[ALPHA_RL] = fade_r * (-moving_r.left - alpha_r.left)
-    off = rate[V_Y] + v_x * r - state[LEAN] - damping * state[LEANING]
-    rate[LEAN], rate[LEANING] = (state[LEANING], off / (T * T)) if leaning > 0.0 else (0.0, 0.0)
+    if differ:
+        rate[ALPHA_FL] = fade_f * (front.delta - moving_f.left - alpha_f.left)
+        rate[ALPHA_RL] = fade_r * (-moving_r.left - alpha_r.left)
+        lean(p, leaning, rate[V_Y] + v_x * r, state, rate)
+
+
+@compiled
+def lean(p, share: float, a_y: float, state, rate) -> None:
+    """Fill d/dt of the body's lean and of its rate in a turn of a_y [m/s^2], if a share of the load moves with it."""
+    rate[LEAN] = rate[LEANING] = 0.0
+    if share > 0.0:
+        T = lean_period(p)
+        rate[LEAN] = state[LEANING]
+        rate[LEANING] = (a_y - state[LEAN] - 2.0 * ROLL_DAMPING * T * state[LEANING]) / (T * T)
 
 
 @compiled
