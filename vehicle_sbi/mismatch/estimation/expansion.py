@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from vehicle_sbi.inference.directions import Direction, null
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.setup import slowest, steps_at
-from vehicle_sbi.mismatch.estimation.fit import DAMPING, Fit, Shrinkage, descend, onwards, relinearised, with_own_noise
+from vehicle_sbi.mismatch.estimation.fit import Fit, Shrinkage, descend, onwards, relinearised, with_own_noise
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 
@@ -137,9 +137,14 @@ class Expansion:
         )
 
     def precision(self, rms: Float[np.ndarray, " sizes"]) -> Float[np.ndarray, " d"]:
-        """Of the shrinkage that holds sizes within `rms` typical ones, in units of the boxes' standard deviations."""
+        """Of the shrinkage that holds sizes within `rms` typical ones, in units of the boxes' standard deviations.
+
+        Base parameters and shapes are as likely within their boxes as the linear model believes. Without that, a fit
+        slides to a bound along what can hardly be told apart (a centre of gravity and an IMU that both are elsewhere),
+        where the linear model holds least.
+        """
         held = (rms * self.typical / _spread(self.sizes)) ** -2
-        return np.concatenate([np.full(len(self.base), DAMPING), held, np.ones(len(self.shapes))])
+        return np.concatenate([np.ones(len(self.base)), held, np.ones(len(self.shapes))])
 
     def observed(self, base: Fit) -> Observation:
         """What the base model was fitted to, with all of this free, in steps as long as the fit allows."""
