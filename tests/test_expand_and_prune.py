@@ -27,9 +27,10 @@ from vehicle_sbi.mismatch.selection.expand_and_prune import (
     _likeliest_before,
     _Round,
     expand_and_prune,
+    groups_of,
 )
 from vehicle_sbi.mismatch.selection.extended import with_effects
-from vehicle_sbi.mismatch.selection.inclusion import Chain
+from vehicle_sbi.mismatch.selection.inclusion import Chain, _Believed, _started
 from vehicle_sbi.mismatch.selection.pruned import Pruned, folded
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
@@ -102,6 +103,16 @@ def test_of_an_effect_that_is_not_plain_the_linear_model_is_exact_where_it_is_mi
     assert steep >= 1
     others = [k for k in range(len(fit.theta)) if not own <= k < own + len(expansion.sizes)]
     np.testing.assert_array_equal(steady.at.J[others], fit.at.J[others])
+
+
+def test_a_fit_believes_of_what_is_always_there_what_the_sampler_does(expanded: tuple[Expansion, Fit]) -> None:
+    # Else it slides to a bound along what can hardly be told apart, and the sampler's linear model is one about there.
+    expansion, _ = expanded
+    groups = groups_of(expansion, [], stated())
+    none, n = np.zeros(len(groups.stop), dtype=np.int64), len(expansion.unit)
+    sampled = _started(np.eye(n), np.zeros(n), _Believed.of(groups), none).precision[: groups.start]
+    held = expansion.precision(np.full(len(expansion.sizes), WIDER))[order(expansion)][: groups.start]
+    np.testing.assert_array_equal(held, sampled)
 
 
 def test_where_all_effects_are_at_their_nulls_the_linear_model_is_that_of_the_fit(
