@@ -28,7 +28,7 @@ def strip() -> None:
     """Take the effects out of the equations of motion, actuators and sensors, before anything is compiled."""
     from vehicle_sbi.compiled import compiled as njit
     from vehicle_sbi.physics import balance, sensors, simulation, single_track
-    from vehicle_sbi.physics.axle import AxleForce
+    from vehicle_sbi.physics.axle import AxleForce, mixed
     from vehicle_sbi.physics.tyre import dugoff
 
     balance.body_load = njit(lambda p, v_x, t, course: (0.0, 0.0, 0.0))
@@ -40,8 +40,9 @@ def strip() -> None:
 
     @njit
     def axle_force(p, axle, slips, a_y):
-        F_x, F_y = dugoff(axle.C_kappa, axle.C_alpha, axle.mu, axle.F_z, slips.kappa, slips.tan_right)
-        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, True)
+        kappa = mixed(slips.share, slips.lagged, slips.kappa)
+        F_x, F_y = dugoff(axle.C_kappa, axle.C_alpha, axle.mu, axle.F_z, kappa, slips.tan_right)
+        return AxleForce(F_x, F_y, 0.0, 0.0, 0.0, 0.0, 0.0, True)
 
     @njit
     def steer(p, command, rate, out):

@@ -272,7 +272,7 @@ def tyre_forces(
             nu = c["lateral_load_transfer_track"] / 2.0 * state[2] / state[0]
             rho = (wheels[0] - wheels[1]) / 2.0 / (3.0 * c["C_vert"] * c["R_f"])
             lags = float(state[5 + i]) if lagging[i] else None
-            slipping = kappas[i], lags, *alphas[i]
+            slipping = kappas[i], lags, alphas[i][0], alphas[i][1]
             pair, unequal = driven_pair(c, half, mu, wheels, static, slipping, (nu, rho), steady)
             beyond[i] = (nu + rho) * (unequal - rho)
         found += np.sum(pair, axis=0).tolist()
@@ -418,8 +418,8 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
     lengths = np.array(relaxation_lengths(c))[[0, 1, 0, 1, 0, 1]]
     lag = np.where(lengths > 0.0, v_x / np.maximum(lengths, 1e-12), 0.0)
-    now = np.array([*np.add(kappa, F.beyond), *np.transpose(slip_angles(c, state, delta)).flat])
-    out[5:11] = lag * (now - state[5:11])
+    without_lag = np.array([*np.add(kappa, F.beyond), *np.transpose(slip_angles(c, state, delta)).flat])
+    out[5:11] = lag * (without_lag - state[5:11])
     stiffness, damping = leaning_body(c)
     if stiffness > 0.0:
         out[11:] = state[12], stiffness * (a_y - state[11]) - damping * state[12]

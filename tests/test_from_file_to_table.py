@@ -31,8 +31,9 @@ from vehicle_sbi.physics.vehicle import GRAVITY, Vehicle
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 COMMAND = os.environ.get("VEHICLE_SBI", str(Path(sys.executable).with_name("vehicle-sbi")))
+M, L = 1480.0, 2.72
 CAR = Vehicle(
-    name="truth", m=1480.0, L=2.72, l_f=1.28, h_cog=0.55, C_kappa_f=1.4e5, C_kappa_r=1.3e5, C_alpha_f=1.15e5,
+    name="truth", m=M, L=L, l_f=1.28, h_cog=0.55, C_kappa_f=1.4e5, C_kappa_r=1.3e5, C_alpha_f=1.15e5,
     C_alpha_r=1.45e5, mu=0.95, R_f=0.32, I_wf=3.0, I_wr=3.0, steering_ratio=15.5,
 )  # fmt: skip
 TRUTH = {"l_f": CAR.l_f, "C_alpha_f": CAR.C_alpha_f, "C_alpha_r": CAR.C_alpha_r, "steering_ratio.gain": 1.0}
@@ -266,7 +267,7 @@ def test_three_commands_lead_from_a_file_to_a_table_that_holds_the_truth(kind: s
     assert vehicle["cf"] == pytest.approx(mean["C_alpha_f"], abs=digit["C_alpha_f"])
     assert vehicle["cr"] == pytest.approx(mean["C_alpha_r"], abs=digit["C_alpha_r"])
     masses = sum(vehicle[f"mass_{wheel}"] for wheel in ("fl", "fr", "rl", "rr"))
-    assert masses == pytest.approx(CAR.m, abs=4 * 0.5 * CAR.m / CAR.L * digit["l_f"])
+    assert masses == pytest.approx(M, abs=4 * 0.5 * M / L * digit["l_f"])
 
 
 def test_the_same_files_are_diagnosed(tmp_path: Path) -> None:
