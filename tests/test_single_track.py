@@ -256,6 +256,26 @@ def test_a_body_that_leans_late_agrees_with_solve_ivp() -> None:
     assert (np.abs(at_once[:3] - y[:3]) / scale).max() > 1e-3
 
 
+@pytest.mark.parametrize("drive", DRIVES)
+def test_derivatives_by_short_steps_are_those_by_long_ones(drive: str) -> None:
+    # Fits take differences over 3e-5 of a box; over 1e-3 of one rounding and the ends of loops are 30 times less. The
+    # curvature over that step is left, which is of the order of 1e-3 of the slope.
+    u, fields = smooth_inputs(1.5), LEANING | {"lateral_load_transfer_track": 1.5, "relaxation_front": 0.4}
+    u[:, 0] *= 2.0
+    moved = ("C_alpha_f", "mu", "lateral_load_transfer_uneven", "lateral_load_transfer_period", "relaxation_front")
+    boxes = {field: p for p in (*GENERIC_PRIORS.values(), *EFFECT_PARAMETERS.values()) for field in p.fields}
+
+    def response(field: str, step: float) -> np.ndarray:
+        records = record_of(PAPER, **fields)
+        records[field] += step
+        return finished(records, drive, u, (10.5, 0.1, 0.02), substeps=4)[:3]
+
+    for field in moved:
+        width, rest = boxes[field].high - boxes[field].low, response(field, 0.0)
+        short, long = ((response(field, share * width) - rest) / (share * width) for share in (3e-5, 1e-3))
+        assert np.abs(short - long).max() < 0.01 * np.abs(long).max(), field
+
+
 def test_in_a_steady_turn_it_does_not_matter_how_late_load_moves() -> None:
     # The slowest mode left, the body's, decays as exp(-0.3 w t), w = 2 pi / 0.6 s: by exp(-31) in 10 s.
     u = smooth_inputs(10.0)
