@@ -22,6 +22,7 @@ from asammdf import MDF, Signal
 from cars import finished, record_of
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from test_export import shown
 
 from vehicle_sbi.data.formats.ros_definitions import DEFINITIONS
 from vehicle_sbi.physics.sensors import MEASUREMENTS
@@ -262,12 +263,11 @@ def test_three_commands_lead_from_a_file_to_a_table_that_holds_the_truth(kind: s
     table = pd.read_csv(run / "table.csv")
     assert_holds_the_truth(table)
     mean, std = (table.set_index("parameter")[column] for column in ("mean", "std"))
-    digit = 0.0051 * std  # half of a standard deviation's third digit, to which files have their values
     vehicle = exported(tmp_path, run)
-    assert vehicle["cf"] == pytest.approx(mean["C_alpha_f"], abs=digit["C_alpha_f"])
-    assert vehicle["cr"] == pytest.approx(mean["C_alpha_r"], abs=digit["C_alpha_r"])
+    assert vehicle["cf"] == shown(mean["C_alpha_f"], std["C_alpha_f"])
+    assert vehicle["cr"] == shown(mean["C_alpha_r"], std["C_alpha_r"])
     masses = sum(vehicle[f"mass_{wheel}"] for wheel in ("fl", "fr", "rl", "rr"))
-    assert masses == pytest.approx(M, abs=4 * 0.5 * M / L * digit["l_f"])
+    assert masses == shown(M, 4 * 0.5 * M / L * std["l_f"])
 
 
 def test_the_same_files_are_diagnosed(tmp_path: Path) -> None:

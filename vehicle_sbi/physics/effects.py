@@ -27,7 +27,7 @@ MOST_GRIP = 0.99  # share of the grip that a given longitudinal force takes, at 
 SPRUNG = 0.15  # damping ratio of a body on its springs at least
 SHORTEST = 1e-9  # [s] of a natural period, below which there is none
 ROLL_DAMPING = 0.3  # damping ratio with which a passenger car's body leans
-SPRINGS_BEAR = 0.75  # of what a turn moves across, with their dampers; axles and roll centres bear the rest
+SPRINGS_BEAR = 0.75  # of what a turn moves across, with their dampers, as in the paper's car; roll centres the rest
 LEAST_SWING = 4.0  # steps of the integrator, the least natural period that swings as it is
 REPORTED = (
     "imu",
@@ -176,8 +176,9 @@ CATALOGUE: Mapping[str, Effect] = {
                 "an axle loses cornering stiffness, and its inner wheel slides first, as load moves to the outer one",
                 "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2), F_axle = F((F_z + S)/2) + F((F_z - S)/2) of "
                 "two wheels of equal torque, at v_x +- r track/2, S = sqrt(uneven) w m g share, share_f = l_r/L + "
-                "front, share_r = l_f/L - front, w = 0.25 a_y + 0.75 (y + 0.6 T dy/dt), T = period/(2 pi), "
-                "T^2 d2y/dt2 + 0.6 T dy/dt = a_y - y (the full vehicle has its own wheels)",
+                f"front, share_r = l_f/L - front, w = {1.0 - SPRINGS_BEAR:g} a_y + {SPRINGS_BEAR:g} (y + "
+                f"{2.0 * ROLL_DAMPING:g} T dy/dt), T = period/(2 pi), T^2 d2y/dt2 + {2.0 * ROLL_DAMPING:g} T dy/dt = "
+                "a_y - y (the full vehicle has its own wheels)",
                 f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2",
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0),
                 uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0), front=("1", -MOST_SHIFTED, MOST_SHIFTED, 0.0),

@@ -253,6 +253,12 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
 
 
 @compiled
+def damping(p) -> float:
+    """Acceleration [m/s^2] that dampers stand for, per unit of the lean's rate [s]."""
+    return 2.0 * ROLL_DAMPING * lean_period(p)
+
+
+@compiled
 def states(p) -> int:
     """How many of the states, the first ones, change anything."""
     return STATES if wheels_differ(p) else ALIKE
@@ -273,7 +279,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     if differ:
         alpha_f, alpha_r = Wheels(alpha_f.right, state[ALPHA_FL]), Wheels(alpha_r.right, state[ALPHA_RL])
         leaning = lean_share(p)
-        leant = leaning * (state[LEAN] + 2.0 * ROLL_DAMPING * lean_period(p) * state[LEANING])
+        leant = leaning * (state[LEAN] + damping(p) * state[LEANING])
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     out = outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT])
     pull_f, pull_r = pulls(p, implied(p, out, given - v_y * r)) if drive == SPEED else (0.0, 0.0)
@@ -326,7 +332,7 @@ def lean(p, share: float, a_y: float, state, rate) -> None:
     if share > 0.0:
         T = lean_period(p)
         rate[LEAN] = state[LEANING]
-        rate[LEANING] = (a_y - state[LEAN] - 2.0 * ROLL_DAMPING * T * state[LEANING]) / (T * T)
+        rate[LEANING] = (a_y - state[LEAN] - damping(p) * state[LEANING]) / (T * T)
 
 
 @compiled
