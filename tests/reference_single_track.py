@@ -283,11 +283,11 @@ def tyre_forces(
 
 
 def leaning_body(c: Car) -> tuple[float, float]:
-    """Of y'' + 2 (0.3) w y' + w^2 y = w^2 a_y the stiffness w^2 and the damping, both 0 where load moves at once."""
+    """Of y'' + 2 damping w y' + w^2 y = w^2 a_y the stiffness w^2 and the damping, both 0 where load moves at once."""
     if c["lateral_load_transfer_period"] == 0.0 or c["lateral_load_transfer_uneven"] == 0.0:
         return 0.0, 0.0
     w = 2.0 * math.pi / c["lateral_load_transfer_period"]
-    return w**2, 0.6 * w
+    return w**2, 2.0 * c["lateral_load_transfer_damping"] * w
 
 
 def moved_by(c: Car, state: np.ndarray, a_y: float) -> float:

@@ -113,7 +113,7 @@ def test_directions_are_those_that_leave_the_null() -> None:
 
 def test_what_changes_by_rounding_alone_does_not_act() -> None:
     # Loads that differ between the wheels change no force where no tyre slides, but for how its two halves are rounded.
-    # On a slippery road they do, and how the axles share them and how late they move is then their shape.
+    # On a slippery road they do, and how the axles share them and how they follow the body is then their shape.
     sim = lateral()
     slippery = sim.nominal.copy()
     slippery["mu"] = 0.35
@@ -122,7 +122,7 @@ def test_what_changes_by_rounding_alone_does_not_act() -> None:
     assert [d.parameter.name for d in directions(sim, MIDDLE, loads)] == wheels
     found = {d.parameter.name: d for d in directions(replace(sim, nominal=slippery), MIDDLE, loads)}
     assert set(found) == {*wheels, "lateral_load_transfer.uneven"}
-    shape = [f"lateral_load_transfer.{name}" for name in ("front", "period")]
+    shape = [f"lateral_load_transfer.{name}" for name in ("front", "period", "damping")]
     assert [p.name for p in found["lateral_load_transfer.uneven"].held] == shape
 
 

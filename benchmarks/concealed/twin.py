@@ -144,6 +144,7 @@ def between(t: np.ndarray, start: float, duration: float) -> np.ndarray:
 class Twin:
     """The car of a vehicle file with its own tyres: shape factor C and curvature E of the magic formula.
 
+    Its body rolls about an axis `roll_centre` [m] above the ground, with the damping ratio `roll_damping`.
     With its IMU `on_body` the effect `body_roll` is what the body itself does, at that gradient.
     """
 
@@ -152,6 +153,8 @@ class Twin:
     C: float = 1.3
     E: float = -1.8
     on_body: bool = False
+    roll_centre: float = 0.1
+    roll_damping: float = 0.3
 
     def drive(self, plan: Plan, effects: Effects) -> Series | None:
         p, t = self._constants(effects), plan.t
@@ -180,10 +183,10 @@ class Twin:
         m = car.m + load
         l_f = car.l_f - load * place / m
         inertia = (car.I_z or car.m * car.l_f * (car.L - car.l_f)) * of("yaw_inertia", "factor", 1.0)
-        lever = 0.85 * car.m * (car.h_cog - 0.1)
+        lever = 0.85 * car.m * (car.h_cog - self.roll_centre)
         gradient = of("body_roll", "gradient", ROLL_GRADIENT) if self.on_body else ROLL_GRADIENT
         K_phi = lever * GRAVITY + lever / gradient
-        J_phi = 0.35 * car.m + lever * (car.h_cog - 0.1)
+        J_phi = 0.35 * car.m + lever * (car.h_cog - self.roll_centre)
         p = np.zeros(1, CAR)
         for name in ("h_cog", "C_kappa_f", "C_kappa_r", "C_alpha_f", "C_alpha_r", "I_wf", "I_wr"):
             p["h" if name == "h_cog" else name] = getattr(car, name)
@@ -194,7 +197,7 @@ class Twin:
             "sigma_f": car.C_alpha_f / car.K + of("relaxation", "front"),
             "sigma_r": car.C_alpha_r / car.K + of("relaxation", "rear"),
             "C": self.C, "E": self.E, "lever": lever, "K_phi": K_phi, "J_phi": J_phi,
-            "D_phi": 0.6 * math.sqrt(K_phi * J_phi), "front": 0.55,
+            "D_phi": 2.0 * self.roll_damping * math.sqrt(K_phi * J_phi), "front": 0.55,
             "drag_area": of("aero_drag", "area"), "lift_area": of("downforce", "area"),
             "lift_front": of("downforce", "front_share", 0.5), "c_rr": of("rolling_resistance", "coefficient"),
             "compliance": of("steering_compliance", "coefficient"), "roll_steer": of("roll_steer", "coefficient"),

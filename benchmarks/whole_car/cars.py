@@ -24,6 +24,8 @@ GENTLEST = 0.7  # of a case's peak, in the gentlest of its drives
 LENGTH_S = (12.0, 20.0)  # of a recording
 LENGTH_MULTIBODY_S = (11.0, 13.0)
 UNSTATED_CARCASS = 0.8  # share of vehicle files without K
+ROLL_DAMPING = (0.2, 0.45)  # as a ratio
+ROLL_CENTRE_M = (0.04, 0.14)  # above the ground
 OFF = 0.3  # by which stated stiffnesses are off at most
 OFF_L_F = 0.12  # [m]
 INHERENT: Mapping[str, tuple[str, ...]] = {
@@ -139,6 +141,13 @@ def _always(car: Vehicle, rng: np.random.Generator) -> dict[str, dict[str, float
     return {"tyre_curve": {"fullness": float(rng.uniform(0.6, 1.0))}, "lateral_load_transfer": wheels}
 
 
+def _leaning(twin: Twin, rng: np.random.Generator) -> Twin:
+    """With a roll axis and roll damping as passenger cars have them."""
+    return replace(
+        twin, roll_centre=float(rng.uniform(*ROLL_CENTRE_M)), roll_damping=float(rng.uniform(*ROLL_DAMPING))
+    )
+
+
 def whole_car(rng: np.random.Generator, worlds: Mapping[str, float] = WORLDS) -> WholeCar:
     """Everything of a case, drawn without a look at what it would show; of each world as often as its share says."""
     name = _chosen(rng, worlds)
@@ -166,7 +175,7 @@ def whole_car(rng: np.random.Generator, worlds: Mapping[str, float] = WORLDS) ->
     effects |= missing.drawn_outside(rng, shortest, multibody=multibody) if name != OWN else {}
     shape = float(rng.uniform(1.2, 1.5))
     curvature = -(1.0 + shape**2 / 2) * float(rng.uniform(0.7, 1.0))
-    world: World = Twin(car=car, gain=gain, C=shape, E=curvature, on_body=name != "twin")
+    world: World = _leaning(Twin(car=car, gain=gain, C=shape, E=curvature, on_body=name != "twin"), rng.spawn(1)[0])
     if name == OWN:
         world = OwnModel(car=car, model=given.model, drive_mode=given.drive, gain=gain)
         for effect, values in _always(car, rng).items():

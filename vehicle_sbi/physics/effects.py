@@ -26,7 +26,7 @@ LEAST_LAG = 0.5  # of the way that a wheel rolls in a step of the integrator, th
 MOST_GRIP = 0.99  # share of the grip that a given longitudinal force takes, at most
 SPRUNG = 0.15  # damping ratio of a body on its springs at least
 SHORTEST = 1e-9  # [s] of a natural period, below which there is none
-ROLL_DAMPING = 0.3  # damping ratio with which a passenger car's body leans
+ROLL_DAMPING = 0.3  # damping ratio with which a passenger car's body leans, where none is found
 SPRINGS_BEAR = 0.75  # of what a turn moves across, with their dampers, as in the paper's car; roll centres the rest
 LEAST_SWING = 4.0  # steps of the integrator, the least natural period that swings as it is
 REPORTED = (
@@ -177,12 +177,13 @@ CATALOGUE: Mapping[str, Effect] = {
                 "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2), F_axle = F((F_z + S)/2) + F((F_z - S)/2) of "
                 "two wheels of equal torque, at v_x +- r track/2, S = sqrt(uneven) w m g share, share_f = l_r/L + "
                 f"front, share_r = l_f/L - front, w = {1.0 - SPRINGS_BEAR:g} a_y + {SPRINGS_BEAR:g} (y + "
-                f"{2.0 * ROLL_DAMPING:g} T dy/dt), T = period/(2 pi), T^2 d2y/dt2 + {2.0 * ROLL_DAMPING:g} T dy/dt = "
-                "a_y - y (the full vehicle has its own wheels)",
+                "2 damping T dy/dt), T = period/(2 pi), T^2 d2y/dt2 + 2 damping T dy/dt = a_y - y (the full vehicle "
+                "has its own wheels)",
                 f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2",
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0),
                 uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0), front=("1", -MOST_SHIFTED, MOST_SHIFTED, 0.0),
-                track=("m", 0.0, WIDEST, 0.0), period=("s", 0.0, 1.2, 0.0)),
+                track=("m", 0.0, WIDEST, 0.0), period=("s", 0.0, 1.2, 0.0),
+                damping=("1", 0.1, 0.8, ROLL_DAMPING)),
         _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late, instead of saturating",
                 "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(3/2, -17/8) - F_Dugoff), F_x with "
                 "longitudinal in place of peak alone, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, "

@@ -19,7 +19,6 @@ from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.axle import Slips, Tyres, axle_force, axle_side_force, mixed
 from vehicle_sbi.physics.balance import Front, Outside, outside, settled
 from vehicle_sbi.physics.effects import (
-    ROLL_DAMPING,
     ignores_load,
     lag_rate,
     lag_share,
@@ -255,7 +254,7 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
 @compiled
 def damping(p) -> float:
     """Acceleration [m/s^2] that dampers stand for, per unit of the lean's rate [s]."""
-    return 2.0 * ROLL_DAMPING * lean_period(p)
+    return 2.0 * p.lateral_load_transfer_damping * lean_period(p)
 
 
 @compiled

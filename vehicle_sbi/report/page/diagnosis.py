@@ -46,6 +46,7 @@ CLAUSES = {  # what the name of a size leaves open
     "imu_lever_arm.z": f"above {ARM.removeprefix('of ')}",
     "lateral_load_transfer.uneven": "square of the share of an axle's load that moves to its outer wheel, per m/s^2",
     "lateral_load_transfer.period": "with which the body leans, and load moves",
+    "lateral_load_transfer.damping": "ratio with which the body leans, and load moves",
     "payload.x": "ahead of the empty car's centre of gravity",
 }
 GROUPS = {group: f"sensors of the mapping's group {group}" for group in ("can", "wheel_speed")}
