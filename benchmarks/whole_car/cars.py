@@ -143,9 +143,7 @@ def _always(car: Vehicle, rng: np.random.Generator) -> dict[str, dict[str, float
 
 def _leaning(twin: Twin, rng: np.random.Generator) -> Twin:
     """With a roll axis and roll damping as passenger cars have them."""
-    return replace(
-        twin, roll_centre=float(rng.uniform(*ROLL_CENTRE_M)), roll_damping=float(rng.uniform(*ROLL_DAMPING))
-    )
+    return replace(twin, roll_centre=float(rng.uniform(*ROLL_CENTRE_M)), roll_damping=float(rng.uniform(*ROLL_DAMPING)))
 
 
 def whole_car(rng: np.random.Generator, worlds: Mapping[str, float] = WORLDS) -> WholeCar:
