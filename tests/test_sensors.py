@@ -313,7 +313,7 @@ def test_a_gain_scales_its_own_channel() -> None:
 
 @given(st.floats(0.0, 0.2))
 def test_any_delay_of_a_ramp_is_exact(delay: float) -> None:
-    # Linear interpolation reproduces a straight line, so a fraction of a sample counts too.
+    # A cubic reproduces a straight line, so a fraction of a sample counts too.
     t, out = np.arange(200) / RATE, np.empty(200)
     report(record_of(RIGID, sensor_delay_imu=delay)[0], t, 0, A_X, RATE, out)
     assert out == pytest.approx(np.maximum(t - delay, 0.0), abs=1e-13)
@@ -322,9 +322,9 @@ def test_any_delay_of_a_ramp_is_exact(delay: float) -> None:
 @pytest.mark.parametrize("group", range(len(GROUPS)))
 def test_what_a_group_reported_leads_back_to_what_there_was(group: int) -> None:
     # A speed that rises and falls, through the closed form of a lag's steady answer to a sine. The derivative is a
-    # central difference, (w h)^2 / 6 short of the true one, and series are linear between samples, (w h)^2 / 8 of the
-    # amplitude off; at the end series go on as their reflection, which is off by the curvature times the square of how
-    # far that is.
+    # central difference, (w h)^2 / 6 short of the true one, and so are slopes at samples, by which cubics between them are
+    # up to 0.1 (w h)^3 / 6 of the amplitude off; at the end series go on as their reflection, which is off by the
+    # curvature times the square of how far that is.
     w, lag, delay, h = 2.0, 0.1, 0.083, 1.0 / RATE
     t = np.arange(round(6.0 * RATE)) * h
     truth = 20.0 + 3.0 * np.sin(w * t)
@@ -333,8 +333,8 @@ def test_what_a_group_reported_leads_back_to_what_there_was(group: int) -> None:
     p = record_of(RIGID, **{f"sensor_lag_{GROUPS[group]}": lag, f"sensor_delay_{GROUPS[group]}": delay})[0]
     found = truth.copy()
     unreported(p, reported, group, A_X, RATE, found)
-    inside = t < t[-1] - delay - h
-    assert np.abs(found - truth)[inside].max() < 3.0 * (w * h) ** 2 * (1.0 / 8.0 + w * lag / 6.0) * 1.1
+    inside = t < t[-1] - delay - 2.0 * h  # the slope at the last sample is one-sided
+    assert np.abs(found - truth)[inside].max() < 3.0 * (w * h) ** 2 * (0.1 * w * h + w * lag) / 6.0 * 1.1
     assert np.abs(found - truth).max() < 3.0 * w**2 * (delay + h) * (delay + h + 2.0 * lag)
     untouched = np.zeros(4)
     unreported(record_of(RIGID)[0], reported[:4], group, A_X, RATE, untouched)

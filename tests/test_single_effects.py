@@ -7,6 +7,7 @@ import pytest
 from cars import PAPER, RATE, RIGID, V, coasting, exciting, finished, integrated, rate_of, record_of
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import CubicHermiteSpline
 
 from vehicle_sbi.physics.effects import (
     EDGE,
@@ -386,8 +387,20 @@ def test_larger_wheels_turn_slower() -> None:
 # --- signals --------------------------------------------------------------------------------------------------------
 
 
-@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=20), st.floats(-30.0, 30.0))
-def test_interpolation_is_numpy_s_and_holds_its_ends(signal: list[float], position: float) -> None:
-    values = np.array(signal)
-    expected = np.interp(position, np.arange(len(values)), values)
+@given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20), st.floats(-30.0, 30.0))
+def test_interpolation_is_scipy_s_cubic_with_numpy_s_slopes_and_holds_its_ends(
+    signal: list[float], position: float
+) -> None:
+    values, places = np.array(signal), np.arange(float(len(signal)))
+    cubic = CubicHermiteSpline(places, values, np.gradient(values))
+    expected = cubic(np.clip(position, 0.0, places[-1]))
     assert interpolate(values, position) == pytest.approx(expected, rel=1e-12, abs=1e-10)
+    assert interpolate(values[:1], position) == values[0]
+
+
+def test_a_dead_time_has_no_kink_at_a_whole_sample() -> None:
+    # Slopes on both sides are those of the same cubic; they differ by its second derivative times the step.
+    values, step = np.cos(0.4 * np.arange(40.0)), 1e-6
+    for k in range(1, 39):
+        sides = [(interpolate(values, k + s) - values[k]) / s for s in (-step, step)]
+        assert abs(sides[1] - sides[0]) < 2.0 * step

@@ -6,12 +6,14 @@ Names and meanings of effects and parameters are the catalogue's, so that a verd
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.physics.vehicle import GRAVITY
 
+FINE = 20  # steps of a lag a sample
 Parameters = Mapping[str, float]
 Effects = Mapping[str, Parameters]
 Series = dict[str, np.ndarray]
@@ -27,15 +29,19 @@ SENSOR_EFFECTS = (
 
 
 def later(x: np.ndarray, t: np.ndarray, delay: float) -> np.ndarray:
-    return np.interp(t - delay, t, x) if delay > 0.0 else x
+    """A dead time [s], the signal being smooth between samples."""
+    return CubicSpline(t, x)(np.maximum(t - delay, t[0])) if delay > 0.0 else x
 
 
 def lagged(x: np.ndarray, t: np.ndarray, tau: float) -> np.ndarray:
-    """A first-order lag, settled at the first sample, its input held over each sample."""
+    """A first-order lag [s] in continuous time, settled at the first sample: trapezoids of FINE steps a sample, between
+    which the signal is smooth. A filter that held its input over each sample would be half a sample early."""
     if tau <= 0.0:
         return x
-    share = -np.expm1(-(t[1] - t[0]) / tau)
-    return x[0] + np.asarray(lfilter([share], [1.0, share - 1.0], x - x[0]))
+    fine = np.linspace(t[0], t[-1], FINE * (len(t) - 1) + 1)
+    step = fine[1] - fine[0]
+    half = step / (2.0 * tau + step)
+    return x[0] + np.asarray(lfilter([half, half], [1.0, 2.0 * half - 1.0], CubicSpline(t, x)(fine) - x[0]))[::FINE]
 
 
 def with_play(x: np.ndarray, width: float) -> np.ndarray:

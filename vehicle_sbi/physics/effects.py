@@ -334,7 +334,12 @@ def imu_lever_arm(p) -> tuple[float, float, float]:
 
 @compiled
 def interpolate(signal, position: float) -> float:
-    """The signal at a fractional sample `position`, linear between samples, held beyond its ends."""
+    """The signal at a fractional sample `position`, held beyond its ends.
+
+    Between samples it is the cubic of Keys (1981), whose slope at each is that of the line through its neighbours. A
+    straight line between samples would take off up to 1 - cos(w / 2) of what turns by w a sample, and have a kink at
+    each, where fits of a dead time stop.
+    """
     last = len(signal) - 1
     if position <= 0.0:
         return signal[0]
@@ -342,7 +347,14 @@ def interpolate(signal, position: float) -> float:
         return signal[last]
     k = int(position)
     share = position - k
-    return signal[k] + share * (signal[k + 1] - signal[k]) if share > 0.0 else signal[k]
+    if share == 0.0:
+        return signal[k]
+    now, then = signal[k], signal[k + 1]
+    change = then - now
+    slope = 0.5 * (then - signal[k - 1]) if k > 0 else change
+    slope_then = 0.5 * (signal[k + 2] - now) if k + 1 < last else change
+    bend, twist = 3.0 * change - 2.0 * slope - slope_then, slope + slope_then - 2.0 * change
+    return now + share * (slope + share * (bend + share * twist))
 
 
 @compiled
