@@ -17,6 +17,7 @@ import numpy as np
 from reference_single_track import (
     Car,
     G,
+    Moment,
     at,
     axles,
     downforce,
@@ -105,22 +106,28 @@ def wheel_slips(c: Car, drive: str, state: np.ndarray, delta: float, F_z: np.nda
 
 
 def tyre_forces(
-    c: Car, mu: float, drive: str, state: np.ndarray, delta: float, F_z: np.ndarray, pulls: tuple[float, float]
+    c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, F_z: np.ndarray, a_x: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """F_x, F_y [N] of every wheel in its own axes; pulls of the axles where the speed is given."""
+    """F_x, F_y [N] of every wheel in its own axes; a_x [m/s^2] is where the speed is given."""
     kappa, alpha = wheel_slips(c, drive, state, delta, F_z)
     lagging = np.repeat(relaxation_lengths(c), 2) > 0.0
     kappa, alpha = np.where(lagging, state[11:15], kappa), np.where(lagging, state[15:19], alpha)
     stiff, slide = np.repeat(levels(c, "stiffness_level"), 2), np.repeat(friction(c), 2)
     (l_f, l_r), N, a_y = axles(c), weight(c), state[V_X] * state[R]
-    F = []
-    for i, axle in enumerate("ffrr"):
+
+    def wheel(i: int, pull: float) -> tuple[float, float]:
+        axle = "ffrr"[i]
         C = stiff[i] * c[f"C_kappa_{axle}"] / 2.0, stiff[i] * c[f"C_alpha_{axle}"] / 2.0
-        static, mu_i = N * (l_r if axle == "f" else l_f) / c["L"] / 2.0, mu * slide[i]
+        static, mu = N * (l_r if axle == "f" else l_f) / c["L"] / 2.0, now.mu * slide[i]
         if drive == "speed":
-            F.append(pulled_tyre(c, C[1], mu_i, float(F_z[i]), static, pulls[i // 2] / 2.0, float(alpha[i]), a_y))
-        else:
-            F.append(tyre(c, C, mu_i, float(F_z[i]), static, (float(kappa[i]), float(alpha[i])), a_y))
+            return pulled_tyre(c, C[1], mu, float(F_z[i]), static, pull / 2.0, float(alpha[i]), a_y)
+        return tyre(c, C, mu, float(F_z[i]), static, (float(kappa[i]), float(alpha[i])), a_y)
+
+    def side(pull: float) -> float:
+        return wheel(0, pull)[1] + wheel(1, pull)[1]
+
+    pulls = implied_pulls(c, now, state[V_X], delta, a_x, side) if drive == "speed" else (0.0, 0.0)
+    F = [wheel(i, pulls[i // 2]) for i in range(4)]
     x, y = np.array(F).T
     return x, y
 
@@ -133,11 +140,10 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     g = np.array([now.g_x, G * math.sin(c["road_bank_angle"])])
     push_x, push_y, moment = outer_forces(c, now, v_x)
     straight = u[0] + c["roll_steer_coefficient"] * v_x * r
-    pulls = implied_pulls(c, now, v_x, r, u[0], u[4] - v_y * r)
 
     def tyres_at(a: np.ndarray, lean: np.ndarray, delta: float) -> tuple[np.ndarray, ...]:
         F_z = loads(c, g, state, a, lean)
-        F_x, F_y = tyre_forces(c, now.mu, drive, state, delta, F_z, pulls)
+        F_x, F_y = tyre_forces(c, now, drive, state, delta, F_z, u[4] - v_y * r)
         turned = np.array([delta, delta, 0.0, 0.0])
         along = F_x * np.cos(turned) - F_y * np.sin(turned)
         return along, F_x * np.sin(turned) + F_y * np.cos(turned), F_x, F_y

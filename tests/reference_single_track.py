@@ -13,7 +13,7 @@ that do not lock.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -194,13 +194,20 @@ def pulled_tyre(
     return F_x, F_y
 
 
-def implied_pulls(c: Car, now: Moment, v_x: float, r: float, command: float, a_x: float) -> tuple[float, float]:
-    """Longitudinal forces of the axles [N] that an acceleration implies; cornering drag as in a steady turn."""
-    delta = command + c["roll_steer_coefficient"] * v_x * r
-    holding = mass(c) * v_x * r * axles(c)[1] / c["L"] * math.sin(delta)
-    total = mass(c) * a_x + holding - outer_forces(c, now, v_x)[0]
-    front = c["drive_front"] if total > 0.0 else np.clip(c["brake_front"] + c["brake_balance_shift"], 0.0, 1.0)
-    return float(front * total), float(total - front * total)
+def implied_pulls(
+    c: Car, now: Moment, v_x: float, delta: float, a_x: float, side: Callable[[float], float]
+) -> tuple[float, float]:
+    """Longitudinal forces of the axles [N] in their wheels' directions that an acceleration implies, with the front
+    one's side force [N], a function of its longitudinal one; that axle's is solved for by plain iteration."""
+    front = 0.0
+    for _ in range(200):
+        total = mass(c) * a_x + side(front) * math.sin(delta) - outer_forces(c, now, v_x)[0]
+        share = c["drive_front"] if total > 0.0 else np.clip(c["brake_front"] + c["brake_balance_shift"], 0.0, 1.0)
+        total /= share * math.cos(delta) + 1.0 - share
+        front, before = float(share * total), front
+        if front == before:
+            break
+    return front, float(total - front)
 
 
 def effective_radius(c: Car, F_z: float, axle: str) -> float:
@@ -243,10 +250,8 @@ def slips(c: Car, state: np.ndarray, delta: float, loads: tuple[float, float]) -
     return (rolling_f - V_f) / max(rolling_f, V_f), (rolling_r - V_r) / max(rolling_r, V_r)
 
 
-def tyre_forces(
-    c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, a: tuple[float, float], command: float
-) -> Forces:
-    """The forces if the front wheels stand at delta, commanded another angle, and the car accelerates with a (x, y)."""
+def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, a: tuple[float, float]) -> Forces:
+    """The forces if the front wheels stand at delta and the car accelerates with a (x, y)."""
     a_x, a_y = a
     loads = axle_loads(c, now, a_x, state[0])
     kappas = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
@@ -257,17 +262,25 @@ def tyre_forces(
     statics, stiff, slide = (N * l_r / c["L"], N * l_f / c["L"]), levels(c, "stiffness_level"), friction(c)
     shifted = N * c["lateral_load_transfer_front"]
     borne = max(statics[0] + shifted, 0.0), max(statics[1] - shifted, 0.0)
-    pulls = implied_pulls(c, now, state[0], state[2], command, a_x)
     found, turn, beyond = [], 0.0, [0.0, 0.0]
     moving = moved_by(c, state, a_y)
+
+    def pulled_pair(i: int, pull: float) -> list[tuple[float, float]]:
+        C_alpha, wheels = stiff[i] * c[f"C_alpha_{'fr'[i]}"], wheel_loads(c, loads[i], borne[i], moving)
+        return [
+            pulled_tyre(c, C_alpha / 2.0, now.mu * slide[i], load, statics[i] / 2.0, pull / 2.0, alpha, steady)
+            for load, alpha in zip(wheels, alphas[i], strict=True)
+        ]
+
+    def side(pull: float) -> float:
+        return sum(F_y for _, F_y in pulled_pair(0, pull))
+
+    pulls = implied_pulls(c, now, state[0], delta, a_x, side) if drive == "speed" else (0.0, 0.0)
     for i, axle in enumerate("fr"):
         C, mu = (stiff[i] * c[f"C_kappa_{axle}"], stiff[i] * c[f"C_alpha_{axle}"]), now.mu * slide[i]
         wheels, half, static = wheel_loads(c, loads[i], borne[i], moving), (C[0] / 2.0, C[1] / 2.0), statics[i] / 2.0
         if drive == "speed":
-            pair = [
-                pulled_tyre(c, half[1], mu, load, static, pulls[i] / 2.0, alphas[i][k], steady)
-                for k, load in enumerate(wheels)
-            ]
+            pair = pulled_pair(i, pulls[i])
         else:
             nu = c["lateral_load_transfer_track"] / 2.0 * state[2] / state[0]
             rho = (wheels[0] - wheels[1]) / 2.0 / (3.0 * c["C_vert"] * c["R_f"])
@@ -364,7 +377,7 @@ def steered(c: Car, now: Moment, drive: str, state: np.ndarray, command: float, 
     most = coefficient * 3.0 * (abs(axle_loads(c, now, a[0], state[0])[0]) + 1.0)  # no friction coefficient reaches 3
 
     def excess(delta: float) -> float:
-        return delta - straight + coefficient * tyre_forces(c, now, drive, state, delta, a, command).y_f
+        return delta - straight + coefficient * tyre_forces(c, now, drive, state, delta, a).y_f
 
     return root(excess, straight - most, straight + most)
 
@@ -377,7 +390,7 @@ def longitudinal_acceleration(c: Car, now: Moment, drive: str, state: np.ndarray
 
     def excess(a_x: float) -> float:
         delta = steered(c, now, drive, state, u[0], (a_x, a_y))
-        F = tyre_forces(c, now, drive, state, delta, (a_x, a_y), u[0])
+        F = tyre_forces(c, now, drive, state, delta, (a_x, a_y))
         return (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r + x) / mass(c) - a_x
 
     return root(excess, -100.0, 100.0)
@@ -393,7 +406,7 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
         """a_x, the front wheels' angle, forces and the front axle's across the car, loads being those of a_y."""
         a_x = longitudinal_acceleration(c, now, drive, state, u, a_y)
         delta = steered(c, now, drive, state, u[0], (a_x, a_y))
-        F = tyre_forces(c, now, drive, state, delta, (a_x, a_y), u[0])
+        F = tyre_forces(c, now, drive, state, delta, (a_x, a_y))
         return a_x, delta, F, F.x_f * math.sin(delta) + F.y_f * math.cos(delta)
 
     def excess(a_y: float) -> float:

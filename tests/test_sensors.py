@@ -322,8 +322,8 @@ def test_any_delay_of_a_ramp_is_exact(delay: float) -> None:
 @pytest.mark.parametrize("group", range(len(GROUPS)))
 def test_what_a_group_reported_leads_back_to_what_there_was(group: int) -> None:
     # A speed that rises and falls, through the closed form of a lag's steady answer to a sine. The derivative is a
-    # central difference, (w h)^2 / 6 short of the true one, and so are slopes at samples, by which cubics between them are
-    # up to 0.1 (w h)^3 / 6 of the amplitude off; at the end series go on as their reflection, which is off by the
+    # central difference, (w h)^2 / 6 short of the true one, and so are slopes at samples, by which cubics between them
+    # are up to 0.1 (w h)^3 / 6 of the amplitude off; at the end series go on as their reflection, which is off by the
     # curvature times the square of how far that is.
     w, lag, delay, h = 2.0, 0.1, 0.083, 1.0 / RATE
     t = np.arange(round(6.0 * RATE)) * h

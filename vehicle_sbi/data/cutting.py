@@ -91,10 +91,9 @@ def _inputs(recording: Recording, drive: str, steering_ratio: float | None) -> d
         inputs["torque_rear"] = recording.channels.get("torque_rear", np.zeros_like(recording.t))
     else:
         for name in NEEDED[drive]:
-            smooth = smoothed(inputs[name], recording.rate, f"{recording.source}: {name}")
-            if name == "v_x":  # of the speed that drives the model: that of the measured one is rough
-                inputs["v_x_dot"] = slope(smooth, recording.rate, recording.source)
-            inputs[name] = np.where(np.isfinite(inputs[name]), smooth, np.nan)
+            inputs[name] = denoised(unheld(inputs[name]))
+            if name == "v_x":
+                inputs["v_x_dot"] = slope(inputs[name], recording.rate, f"{recording.source}: {name}")
     inputs["steering"] = denoised(unheld(_steering(recording, drive, steering_ratio)))
     return inputs
 

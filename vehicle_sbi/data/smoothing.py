@@ -11,7 +11,7 @@ from scipy.signal import savgol_filter
 from vehicle_sbi.errors import InputError
 
 SMOOTHING_S = 0.25
-"""Length [s] of the Savitzky-Golay filter (order 2) behind the initial states and the smoothed v_x."""
+"""Length [s] of the Savitzky-Golay filter (order 2) behind the initial states."""
 
 SLOPE_S = 0.45
 """Length [s] of the one (order 3) behind v_x_dot."""
@@ -38,8 +38,8 @@ def smoothed(values: Float[np.ndarray, " time"], rate: float, where: str) -> Flo
 def slope(values: Float[np.ndarray, " time"], rate: float, where: str) -> Float[np.ndarray, " time"]:
     """Derivative of `values` by the same filter, as long as `SLOPE_S` and exact for cubics.
 
-    A parabola over 0.25 s would take 7 % off what a car does at 1 Hz and 26 % at 2 Hz, this takes 1 % and 12 %, of what
-    was `smoothed` before, with a tenth more noise.
+    It takes 1 % off what a car does at 1 Hz and 12 % at 2 Hz. Of quick drives whose speed has white noise of 0.01 m/s
+    and was `denoised` before, it is off by 0.017 m/s^2.
     """
     return _filtered(values, rate, where, SLOPE_S, order=3, derivative=1)
 

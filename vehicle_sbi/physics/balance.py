@@ -1,9 +1,10 @@
 """The loop between loads and forces, the same for every model.
 
 Forces of the tyres accelerate the car, accelerations move load between the wheels, and load changes the forces; the
-front axle's side force turns compliant wheels back, which changes it too. What solves all of it is a fixed point in
+front axle's side force turns compliant wheels back, which changes it too. Where the speed is given, it also holds the
+car back, and tyres drive against it with grip that they lack across. What solves all of it is a fixed point in
 (a_x, a_y, twist): plain iteration, whose factor is below mu h / L, mixed with its step before (Anderson's mixing of
-depth one, in one unknown the secant method).
+depth one, in one unknown the secant method, by which the side force is found beside them).
 """
 
 import math
@@ -12,6 +13,7 @@ from typing import NamedTuple
 from vehicle_sbi.compiled import compiled
 from vehicle_sbi.physics.effects import body_load, downforce, friction_step, road_grade, roll_steer, steering_compliance
 
+TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2  # drive modes: what is given
 LOAD_TOLERANCE = 1e-9  # [m/s^2], where the loop between load transfer and longitudinal force stops
 TWIST_TOLERANCE = 1e-12  # [rad], where that between side force and steering compliance does
 TWIST_WEIGHT = 1e3  # [m/s^2 per rad], what makes the two comparable
@@ -36,11 +38,12 @@ class Outside(NamedTuple):
 
 
 class Front(NamedTuple):
-    """Where the front wheels point: angle [rad], its sine and cosine."""
+    """Where the front wheels point, angle [rad], sine and cosine, and their side force [N] as far as it is known."""
 
     delta: float
     sine: float
     cosine: float
+    side: float
 
 
 @compiled
@@ -53,8 +56,25 @@ def outside(p, delta: float, v_x: float, r: float, t: float, course: float) -> O
 
 
 @compiled
-def pointing(delta: float) -> Front:
-    return Front(delta, math.sin(delta), math.cos(delta))
+def pointing(delta: float, side: float) -> Front:
+    return Front(delta, math.sin(delta), math.cos(delta), side)
+
+
+@compiled
+def pulls(p, out: Outside, front: Front, a_x: float) -> tuple[float, float]:
+    """Longitudinal tyre forces (front, rear) [N] that an acceleration a_x [m/s^2] implies, shared as the car drives or
+    brakes: m a_x without what else acts along the car, and with what the front wheels' side force holds back."""
+    total = p.mass * a_x - out.push_x + front.side * front.sine
+    share = p.drive_front if total > 0.0 else min(max(p.brake_front + p.brake_balance_shift, 0.0), 1.0)
+    total /= share * front.cosine + 1.0 - share
+    return share * total, (1.0 - share) * total
+
+
+@compiled
+def led(iteration: int, off: float, before: float) -> float:
+    """A step of a secant iteration whose residual is `off` now and was `before`, no more than twice as far."""
+    ratio = off / before if 0 < iteration < SECANTS and abs(off) < 0.5 * abs(before) else 0.0
+    return off / (1.0 - ratio)
 
 
 @compiled
@@ -73,24 +93,25 @@ def extrapolated(iteration: int, off_x: float, off_y: float, turn: float, x: flo
 
 
 @compiled
-def settled(forces, p, car, a_x: float, a_y: float):
+def settled(forces, p, car, a_x: float, a_y: float, r_dot: float):
     """What `forces(p, car, front, a_x, a_y)` finds at the accelerations [m/s^2] that it causes, where the front wheels
     point then, and these accelerations.
 
     `forces` returns accelerations a_x, a_y, whether they are `final`, so that it would find the same forces under them,
-    whether what it solves for itself is found (`even`), and the front axle's side force F_yf; a_x and a_y on entry are
-    the guess from which the loop starts. Compliant wheels are solved for with the tyre's slope at the origin. NaN if
-    the loop does not end.
+    whether what it solves for itself is found (`even`), and the front axle's side force F_yf; a_x, a_y and the yaw
+    acceleration r_dot [rad/s^2] on entry are the guess from which the loop starts. Compliant wheels are solved for with
+    the tyre's slope at the origin. NaN if the loop does not end.
     """
     slope = 1.0 + (1.0 - car.share_f) * steering_compliance(p, p.stiff_f * p.C_alpha_f)
-    front, twist, iteration = pointing(car.outside.delta), 0.0, 0
-    before_x = before_y = before_turn = led_x = led_y = led_twist = 0.0
+    front, twist, iteration = pointing(car.outside.delta, (p.mass * p.l_rear * a_y + p.I_z * r_dot) / p.L), 0.0, 0
+    before_x = before_y = before_turn = before_side = led_x = led_y = led_twist = 0.0
     while True:
         p.search = HASTY if iteration < UNTIL[0] else WHOLE if iteration < UNTIL[1] else KEPT
         found = forces(p, car, front, a_x, a_y)
         missing = steering_compliance(p, found.F_yf) - twist
         off_x, off_y, turn = found.a_x - a_x, found.a_y - a_y, missing / slope
-        if abs(missing) < TWIST_TOLERANCE:
+        off_side = found.F_yf - front.side if car.drive == SPEED else 0.0
+        if abs(missing) < TWIST_TOLERANCE and abs(off_side * front.sine) < LOAD_TOLERANCE * p.mass:
             if found.final:
                 return found, front, found.a_x, found.a_y
             if found.even and max(abs(off_x), abs(off_y)) < LOAD_TOLERANCE:
@@ -99,10 +120,10 @@ def settled(forces, p, car, a_x: float, a_y: float):
             return found, front, math.nan, a_y
         back = extrapolated(iteration, off_x, off_y, turn, before_x, before_y, before_turn)
         part = 1.0 if iteration < SECANTS else 0.5
+        side, before_side = front.side + led(iteration, off_side, before_side), off_side
         before_x, before_y, before_turn = off_x, off_y, turn
         a_x, led_x = a_x + part * off_x - back * (a_x + off_x - led_x), a_x + off_x
         a_y, led_y = a_y + part * off_y - back * (a_y + off_y - led_y), a_y + off_y
         twist, led_twist = twist + part * turn - back * (twist + turn - led_twist), twist + turn
-        if p.steering_compliance_coefficient != 0.0:
-            front = pointing(car.outside.delta - twist)
+        front = pointing(car.outside.delta - twist, side)
         iteration += 1

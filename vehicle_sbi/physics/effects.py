@@ -485,13 +485,6 @@ def brake_gain(p, torque: float) -> float:
 
 
 @compiled
-def pulls(p, total: float) -> tuple[float, float]:
-    """Longitudinal tyre forces (front, rear) [N] that a total implies, shared as the car drives or brakes."""
-    front = p.drive_front if total > 0.0 else min(max(p.brake_front + p.brake_balance_shift, 0.0), 1.0)
-    return front * total, (1.0 - front) * total
-
-
-@compiled
 def brake_balance(p, front: float, rear: float) -> tuple[float, float]:
     """Axle torques [N m] with a share of the sum moved to the front axle while neither drives."""
     moved = p.brake_balance_shift * (front + rear) if front <= 0.0 and rear <= 0.0 else 0.0

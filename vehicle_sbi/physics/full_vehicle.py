@@ -20,22 +20,18 @@ import math
 from typing import NamedTuple
 
 from vehicle_sbi.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.balance import Front, Outside, outside, pointing, settled
-from vehicle_sbi.physics.effects import lag_rate, lag_share, lateral_cog, pulls, road_bank, side_force, tyre_force
+from vehicle_sbi.physics.balance import SPEED, TORQUE, WHEEL_SPEED, Front, Outside, outside, pointing, pulls, settled
+from vehicle_sbi.physics.effects import lag_rate, lag_share, lateral_cog, road_bank, side_force, tyre_force
 from vehicle_sbi.physics.single_track import (
     DELTA,
-    SPEED,
     T_F,
     T_R,
     TIME,
-    TORQUE,
     U_LATENT,
     U_OMEGA_F,
     U_OMEGA_R,
     U_V_X,
     U_V_X_DOT,
-    WHEEL_SPEED,
-    implied,
     mixed,
     regular,
     rolling_radii,
@@ -149,8 +145,6 @@ class Car(NamedTuple):
 
     drive: int
     share_f: float  # of the front axle's slips that lag
-    pull_f: float  # longitudinal forces of the axles [N] where the speed is given
-    pull_r: float
     outside: Outside
     g_y: float  # gravity across the car [m/s^2]
     roll: float  # moments that turn the body [N m]
@@ -252,11 +246,13 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     pitching = rigid_x * (a_x + out.g_x) + car.held_pitch + p.h_pitch * p.pitch_lever * pitch_rate_dot
     centres = rigid_y * (a_y + car.g_y) - p.h_roll * p.roll_lever * roll_rate_dot
     F_z = loads(p, pitching, car.held_roll, centres, out.press_f, out.press_r)
-    straight = pointing(0.0)
-    fl = contact(p, car, car.front, front, car.front_left, F_z[0], car.pull_f)
-    fr = contact(p, car, car.front, front, car.front_right, F_z[1], car.pull_f)
-    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], car.pull_r)
-    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3], car.pull_r)
+    straight, pull_f, pull_r = pointing(0.0, 0.0), 0.0, 0.0
+    if car.drive == SPEED:
+        pull_f, pull_r = pulls(p, out, front, a_x)
+    fl = contact(p, car, car.front, front, car.front_left, F_z[0], pull_f)
+    fr = contact(p, car, car.front, front, car.front_right, F_z[1], pull_f)
+    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], pull_r)
+    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3], pull_r)
     F_along = (fl.F_x + fr.F_x) + (rl.F_x + rr.F_x)
     F_x = out.push_x + F_along
     F_y = out.push_y + (fl.F_y + fr.F_y) + (rl.F_y + rr.F_y)
@@ -287,19 +283,16 @@ def turning(p, car: Car, axle: Axle, torque: float, w: Wheel, c: Contact) -> tup
 
 @compiled
 def derivatives(p, drive: int, u, state, rate) -> None:
-    """Fill rate (19,) with d(state)/dt; rate[V_X] and rate[V_Y] on entry are where the load-transfer loop starts."""
+    """Fill rate (19,) with d(state)/dt; on entry rate[V_X], rate[V_Y], rate[R] are where the loop of loads starts."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     roll, pitch = restoring(p, state)
     front, rear = axles(p)
     y_f, y_r = front.half_track, rear.half_track
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     out = outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT])
-    pull_f, pull_r = pulls(p, implied(p, out, given - v_y * r)) if drive == SPEED else (0.0, 0.0)
     car = Car(
         drive=drive,
         share_f=lag_share(p, p.sigma_f, regular(v_x)),
-        pull_f=pull_f,
-        pull_r=pull_r,
         outside=out,
         g_y=road_bank(p),
         roll=roll,
@@ -313,7 +306,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         rear_left=wheel(p, rear, y_r, v_x, v_y, r, state[9], state[13], state[17]),
         rear_right=wheel(p, rear, -y_r, v_x, v_y, r, state[10], state[14], state[18]),
     )
-    found, _, a_x, a_y = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
+    found, _, a_x, a_y = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r, rate[R])
 
     rate[V_X], rate[V_Y], rate[R] = a_x + v_y * r, a_y - v_x * r, found.M_z / p.I_z
     rate[ROLL], rate[PITCH] = state[ROLL_RATE], state[PITCH_RATE]

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.axle import Slips, Tyres, axle_force, axle_side_force, mixed
-from vehicle_sbi.physics.balance import Front, Outside, outside, settled
+from vehicle_sbi.physics.balance import SPEED, TORQUE, WHEEL_SPEED, Front, Outside, outside, pulls, settled
 from vehicle_sbi.physics.effects import (
     ignores_load,
     lag_rate,
@@ -26,12 +26,10 @@ from vehicle_sbi.physics.effects import (
     lean_period,
     lean_share,
     moves_load_across,
-    pulls,
     wheels_differ,
 )
 from vehicle_sbi.physics.tyre import effective_radius, grips
 
-TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2
 DRIVES = {"torque": TORQUE, "wheel_speed": WHEEL_SPEED, "speed": SPEED}
 
 INPUTS = (
@@ -110,8 +108,6 @@ class Car(NamedTuple):
     moving_f: Wheels  # where front wheels move [rad]
     tan_f: Wheels  # tangents of slip angles, of the front ones as far as they lag, of the rear ones as they act
     tan_r: Wheels
-    pull_f: float  # longitudinal forces [N] where the speed is given
-    pull_r: float
     at_once: float  # share of what a turn moves across that follows its acceleration at once
     leant: float  # acceleration [m/s^2] that the rest of it has followed
 
@@ -203,14 +199,6 @@ def tangents(alpha: Wheels) -> Wheels:
 
 
 @compiled
-def implied(p, out: Outside, a_x: float) -> float:
-    """Longitudinal force [N] of all tyres that an acceleration a_x [m/s^2] implies: m a_x without what else acts along
-    the car, and with what the front axle's side force holds back in a turn, as large as in a steady one."""
-    held_back = p.mass * p.l_rear / p.L * out.steady * math.sin(out.delta)
-    return p.mass * a_x - out.push_x + held_back
-
-
-@compiled
 def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     """Forces of both axles under the loads of an acceleration a_x [m/s^2], and the acceleration that they cause.
 
@@ -231,8 +219,9 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     slips_r = Slips(kappa_r, car.kappa_r, car.share_r, faster, car.tan_r.right, car.tan_r.left, p.split_r, p.slope_r)
     moved = car.at_once * a_y + car.leant
     if car.drive == SPEED:
-        f = axle_side_force(p, axle_f, car.pull_f, slips_f, p.moved_f * moved)
-        b = axle_side_force(p, axle_r, car.pull_r, slips_r, p.moved_r * moved)
+        pull_f, pull_r = pulls(p, out, front, a_x)
+        f = axle_side_force(p, axle_f, pull_f, slips_f, p.moved_f * moved)
+        b = axle_side_force(p, axle_r, pull_r, slips_r, p.moved_r * moved)
     else:
         f, b = axle_force(p, axle_f, slips_f, p.moved_f * moved), axle_force(p, axle_r, slips_r, p.moved_r * moved)
         p.split_f, p.slope_f, p.split_r, p.slope_r = f.split, f.slope, b.split, b.slope
@@ -267,7 +256,7 @@ def states(p) -> int:
 def derivatives(p, drive: int, u, state, rate) -> None:
     """Fill rate (13,) with d(state)/dt of the states that change anything.
 
-    What of v_x and v_y it has on entry is where the load-transfer loop starts.
+    What of v_x, v_y and r it has on entry is where the loop between loads and forces starts.
     """
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     speed, v_yf = regular(v_x), v_y + p.l_front * r
@@ -281,7 +270,6 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         leant = leaning * (state[LEAN] + damping(p) * state[LEANING])
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     out = outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT])
-    pull_f, pull_r = pulls(p, implied(p, out, given - v_y * r)) if drive == SPEED else (0.0, 0.0)
     car = Car(
         drive=drive,
         share_f=share_f,
@@ -297,12 +285,10 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         moving_f=moving_f,
         tan_f=tangents(alpha_f),
         tan_r=tangents(mixed_angles(share_r, alpha_r, 0.0, moving_r)),
-        pull_f=pull_f,
-        pull_r=pull_r,
         at_once=1.0 - leaning,
         leant=leant,
     )
-    found, front, a_x, _ = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
+    found, front, a_x, _ = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r, rate[R])
     F_zf, F_zr = loads(p, car, a_x)
     rolls = rolling(p, car, front, F_zf, F_zr)
 

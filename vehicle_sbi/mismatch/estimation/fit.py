@@ -26,6 +26,8 @@ STEP = 3e-5  # of the prior's width or of an initial state's standard deviation,
 # which end at 1e-9, are no part of them, and so short that derivatives by stiffnesses are off by half a percent at most
 DAMPING = 1e-3  # information in units of the prior that keeps directions which nothing sees from running away
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tried
+DAMPINGS = (1e-4, 1e-3, 0.01, 0.1, 1.0)  # of steps that are damped, as shares of the curvature
+KEPT = 0.6  # of the gain that a step promises, below which others are tried too
 MOST_STEPS = 15
 CONVERGED = 0.01  # decrease of half the sum of squares, which is log likelihood, at which a fit ends
 NOISE_ROUNDS = 4  # of fit and noise at most
@@ -232,17 +234,33 @@ class Fit:
         return np.linalg.inv(self.information + pull) * np.outer(spread, spread)
 
 
-def _steps(fit: Fit) -> Float[np.ndarray, "shares d"]:
-    """Points on the way to where the linearised model fits best inside the box."""
-    space, spread = fit.simulator.space, fit.simulator.space.prior_std
-    pull = fit.shrinkage or Shrinkage(fit.theta, np.full(len(spread), DAMPING))
-    slope = fit.white @ fit.metric(fit.residual).reshape(-1) + pull.precision * (pull.centre - fit.theta) / spread
-    root = np.linalg.cholesky(fit.information + np.diag(pull.precision))
-    triangle, target = root.T, solve_triangular(root, slope, lower=True)
-    room = 1e-9 * (space.high - space.low)
-    bounds = ((space.low - room - fit.theta) / spread, (space.high + room - fit.theta) / spread)
-    step = np.asarray(lsq_linear(triangle, target, bounds=bounds, method="bvls").x) * spread
-    return np.clip(fit.theta + np.array(SHARES)[:, None] * step, space.low, space.high)
+@dataclass(frozen=True)
+class _Quadratic:
+    """Half the sum of squares that the linearised model leaves about a fit, in units of the boxes' standard deviations:
+    less by `slope` (d,) times a step, more by half its square in `curvature` (d, d); steps lie within `bounds`."""
+
+    slope: Float[np.ndarray, " d"]
+    curvature: Float[np.ndarray, "d d"]
+    bounds: tuple[Float[np.ndarray, " d"], Float[np.ndarray, " d"]]
+
+    @classmethod
+    def about(cls, fit: Fit) -> "_Quadratic":
+        space, spread = fit.simulator.space, fit.simulator.space.prior_std
+        pull = fit.shrinkage or Shrinkage(fit.theta, np.full(len(spread), DAMPING))
+        slope = fit.white @ fit.metric(fit.residual).reshape(-1) + pull.precision * (pull.centre - fit.theta) / spread
+        room = 1e-9 * (space.high - space.low)
+        bounds = (space.low - room - fit.theta) / spread, (space.high + room - fit.theta) / spread
+        return cls(slope, fit.information + np.diag(pull.precision), bounds)
+
+    def step(self, damping: float = 0.0) -> Float[np.ndarray, " d"]:
+        """To the least of it, with such a share of the curvature along each parameter added (Marquardt 1963)."""
+        root = np.linalg.cholesky(self.curvature + damping * np.diag(np.diag(self.curvature)))
+        target = solve_triangular(root, self.slope, lower=True)
+        return np.asarray(lsq_linear(root.T, target, bounds=self.bounds, method="bvls").x)
+
+    def gain(self, step: Float[np.ndarray, " d"]) -> float:
+        """By how much it falls."""
+        return float(self.slope @ step - 0.5 * step @ self.curvature @ step)
 
 
 def cost(metric: Metric, residual: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, " n"]:
@@ -290,16 +308,26 @@ def relinearised(fit: Fit, theta: Float[np.ndarray, " d"]) -> Fit:
 
 
 def _stepped(fit: Fit) -> tuple[Float[np.ndarray, " d"], Series] | None:
-    """The whole Gauss-Newton step, and only if that is too far a shorter one: theta and the series there; None where
-    none of them gains enough."""
-    now = fit.costs(fit.theta[None], fit.at.y[None])[0]
-    for points in np.split(_steps(fit), [1]):
-        y = fit.simulator.noise_free(points)
-        there = fit.costs(points, y)
-        best = int(np.argmin(there))
-        if now - there[best] >= CONVERGED:
-            return points[best], y[best]
-    return None
+    """The whole Gauss-Newton step, or the best of it and of shorter and damped ones where it gains less than it
+    promised: theta and the series there; None where none of them gains enough."""
+    quadratic, now = _Quadratic.about(fit), fit.costs(fit.theta[None], fit.at.y[None])[0]
+    whole = quadratic.step()
+    best = _best(fit, whole[None])
+    if now - best[0] < max(KEPT * quadratic.gain(whole), CONVERGED):
+        others = [*(share * whole for share in SHARES[1:]), *map(quadratic.step, DAMPINGS)]
+        best = min(best, _best(fit, np.array(others)), key=lambda one: one[0])
+    return best[1:] if now - best[0] >= CONVERGED else None
+
+
+def _best(fit: Fit, steps: Float[np.ndarray, "n d"]) -> tuple[float, Float[np.ndarray, " d"], Series]:
+    """Of some steps, in units of the boxes' standard deviations, what the best one costs, where it leads, and the
+    series there."""
+    space = fit.simulator.space
+    points = np.clip(fit.theta + steps * space.prior_std, space.low, space.high)
+    y = fit.simulator.noise_free(points)
+    there = fit.costs(points, y)
+    best = int(np.argmin(there))
+    return float(there[best]), points[best], y[best]
 
 
 def _updated(fit: Fit, theta: Float[np.ndarray, " d"], y: Series) -> Fit:
