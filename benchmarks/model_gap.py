@@ -1,11 +1,12 @@
-"""What the tool's model leaves of a whole car's world in which no effect is missing, without noise.
+"""What the tool's model leaves of a whole car's world, without noise: with no effect, and with the case's own.
 
-    .venv/bin/python benchmarks/model_gap.py 203 3 23 47     (a seed and numbers of cases; half a minute each)
+    .venv/bin/python benchmarks/model_gap.py 203 3 23 47     (a seed and numbers of cases; a minute each)
 
 The twin has other tyres than the tool's model, and wheels whose loads are uneven in a turn. Base parameters and those
 of `tyre_curve` and `lateral_load_transfer` are fitted to what its sensors would read, then the friction beside them.
 What is left is a signal-to-noise ratio, in standard deviations of the case's noise: what no parameter can take over,
-and what is then taken by friction, which is not off.
+and what is then taken by friction, which is not off. Then the car has its effects of the catalogue, and their
+parameters are fitted too: a world that does an effect otherwise than the catalogue says leaves more.
 """
 
 import os
@@ -17,6 +18,7 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 import numpy as np
 import pandas as pd
+from concealed.actuators_and_sensors import Effects
 from concealed.twin import TRACK, Twin
 from whole_car.cars import WholeCar
 from whole_car.cases import base_model, driven, ideal_series
@@ -34,6 +36,7 @@ START = {
     "lateral_load_transfer.period": 0.6,
 }  # fmt: skip
 STEPS = 30  # of Gauss-Newton
+NONE: Effects = {}
 
 
 def bare(seed: int, index: int) -> WholeCar:
@@ -44,14 +47,16 @@ def bare(seed: int, index: int) -> WholeCar:
     return replace(car, world=replace(car.world, on_body=False))
 
 
-def left(car: WholeCar, names: Sequence[str]) -> tuple[float, dict[str, float]]:
-    """The signal-to-noise ratio of what a fit leaves, and the fitted values of these parameters."""
-    series = ideal_series(car, car.train, {})
+def left(car: WholeCar, names: Sequence[str], effects: Effects = NONE) -> tuple[float, dict[str, float]]:
+    """The signal-to-noise ratio of what a fit leaves of the car with these effects, and the fitted values of these
+    parameters."""
+    series = ideal_series(car, car.train, effects)
     if series is None:
-        raise SystemExit("error: without its effects this car cannot be driven so")
+        raise SystemExit("error: with these effects alone this car cannot be driven so")
     simulator, added = base_model(car, series), [EFFECT_PARAMETERS[name] for name in names]
     space = ParameterSpace((*simulator.space.parameters, *added))
-    start = [car.base[name] for name in simulator.space.names] + [START.get(p.name, p.null) for p in added]
+    values = START | {f"{effect}.{key}": value for effect, held in effects.items() for key, value in held.items()}
+    start = [car.base[name] for name in simulator.space.names] + [values.get(p.name, p.null) for p in added]
     freed = replace(simulator, space=space)
     observed = np.where(freed.windows.valid, freed.windows.y, 0.0)
     fit = descend(Observation(freed, observed, True), np.clip(np.array(start, float), space.low, space.high), STEPS)
@@ -65,10 +70,15 @@ def row(seed: int, index: int) -> dict[str, object]:
     car = bare(seed, index)
     own, found = left(car, INHERENT)
     freer, with_friction = left(car, (*INHERENT, FRICTION))
+    acting = {name: values for name, values in car.effects.items() if name in CATALOGUE}
+    theirs = [p.name for name in acting for p in CATALOGUE[name].parameters if p.name not in INHERENT]
+    with_effects, _ = left(car, (*INHERENT, *theirs), acting)
     return {
         "case": index, "drive": car.given.drive, "peak a_y": round(car.peak, 1), "left": own, "with friction": freer,
         "friction": with_friction[FRICTION], "uneven": found["lateral_load_transfer.uneven"],
         "by height and track": (2.0 * (car.truth.h_cog or 0.0) / (GRAVITY * TRACK)) ** 2,
+        "damping": found["lateral_load_transfer.damping"], "true damping": getattr(car.world, "roll_damping", np.nan),
+        "left with its effects": with_effects,
     }  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from vehicle_sbi.mismatch.estimation.fit import (
     Fit,
     Metric,
     Shrinkage,
-    _steps,
+    _Quadratic,
     _updated,
     descend,
     linearise,
@@ -187,7 +187,13 @@ def test_a_step_ends_where_the_linear_model_fits_best_in_the_box() -> None:
     target = np.concatenate([fit.metric(fit.residual).reshape(-1), root * (pull.centre - start) / spread])
     bounds = ((sim.space.low - start) / spread, (sim.space.high - start) / spread)
     exact = lsq_linear(rows, target, bounds=bounds, tol=1e-14).x
-    np.testing.assert_allclose((_steps(fit)[0] - start) / spread, exact, atol=1e-6)
+    quadratic = _Quadratic.about(fit)
+    np.testing.assert_allclose(quadratic.step(), exact, atol=1e-6)
+    gained = 0.5 * (target @ target - np.sum((target - rows @ exact) ** 2))
+    assert quadratic.gain(quadratic.step()) == pytest.approx(gained, rel=1e-9)
+    sizes = [float(step @ (np.diag(quadratic.curvature) * step)) for step in map(quadratic.step, (0.0, 0.1, 10.0))]
+    assert sizes == sorted(sizes, reverse=True)
+    assert quadratic.gain(quadratic.step(0.1)) < gained
 
 
 def test_secants_end_at_the_optimum_that_differences_find() -> None:
