@@ -71,7 +71,7 @@ def pulls(p, out: Outside, front: Front, a_x: float) -> tuple[float, float]:
 
 
 @compiled
-def led(iteration: int, off: float, before: float) -> float:
+def secant_step(iteration: int, off: float, before: float) -> float:
     """A step of a secant iteration whose residual is `off` now and was `before`, no more than twice as far."""
     ratio = off / before if 0 < iteration < SECANTS and abs(off) < 0.5 * abs(before) else 0.0
     return off / (1.0 - ratio)
@@ -94,8 +94,8 @@ def extrapolated(iteration: int, off_x: float, off_y: float, turn: float, x: flo
 
 @compiled
 def settled(forces, p, car, a_x: float, a_y: float, r_dot: float):
-    """What `forces(p, car, front, a_x, a_y)` finds at the accelerations [m/s^2] that it causes, where the front wheels
-    point then, and these accelerations.
+    """What `forces(p, car, front, a_x, a_y)` finds at the accelerations [m/s^2] and the side force of the front wheels
+    that it causes, where these point then, and the accelerations.
 
     `forces` returns accelerations a_x, a_y, whether they are `final`, so that it would find the same forces under them,
     whether what it solves for itself is found (`even`), and the front axle's side force F_yf; a_x, a_y and the yaw
@@ -120,7 +120,7 @@ def settled(forces, p, car, a_x: float, a_y: float, r_dot: float):
             return found, front, math.nan, a_y
         back = extrapolated(iteration, off_x, off_y, turn, before_x, before_y, before_turn)
         part = 1.0 if iteration < SECANTS else 0.5
-        side, before_side = front.side + led(iteration, off_side, before_side), off_side
+        side, before_side = front.side + secant_step(iteration, off_side, before_side), off_side
         before_x, before_y, before_turn = off_x, off_y, turn
         a_x, led_x = a_x + part * off_x - back * (a_x + off_x - led_x), a_x + off_x
         a_y, led_y = a_y + part * off_y - back * (a_y + off_y - led_y), a_y + off_y

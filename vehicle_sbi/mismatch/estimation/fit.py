@@ -27,7 +27,7 @@ STEP = 3e-5  # of the prior's width or of an initial state's standard deviation,
 DAMPING = 1e-3  # information in units of the prior that keeps directions which nothing sees from running away
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)  # of a Gauss-Newton step that are tried
 DAMPINGS = (1e-4, 1e-3, 0.01, 0.1, 1.0)  # of steps that are damped, as shares of the curvature
-KEPT = 0.6  # of the gain that a step promises, below which others are tried too
+PROMISED = 0.6  # of the gain that a step promises, below which others are tried too
 MOST_STEPS = 15
 CONVERGED = 0.01  # decrease of half the sum of squares, which is log likelihood, at which a fit ends
 NOISE_ROUNDS = 4  # of fit and noise at most
@@ -313,7 +313,7 @@ def _stepped(fit: Fit) -> tuple[Float[np.ndarray, " d"], Series] | None:
     quadratic, now = _Quadratic.about(fit), fit.costs(fit.theta[None], fit.at.y[None])[0]
     whole = quadratic.step()
     best = _best(fit, whole[None])
-    if now - best[0] < max(KEPT * quadratic.gain(whole), CONVERGED):
+    if now - best[0] < max(PROMISED * quadratic.gain(whole), CONVERGED):
         others = [*(share * whole for share in SHARES[1:]), *map(quadratic.step, DAMPINGS)]
         best = min(best, _best(fit, np.array(others)), key=lambda one: one[0])
     return best[1:] if now - best[0] >= CONVERGED else None
