@@ -1,6 +1,7 @@
 """What the tool's model leaves of a whole car's world, without noise: with no effect, and with the case's own.
 
-    .venv/bin/python benchmarks/model_gap.py 203 3 23 47     (a seed and numbers of cases; a minute each)
+    .venv/bin/python benchmarks/model_gap.py 203 3 23 47          (a seed and numbers of cases; a minute each)
+    .venv/bin/python benchmarks/model_gap.py each 205 75 114      (with none and each of their effects alone, and all)
 
 The twin has other tyres than the tool's model, and wheels whose loads are uneven in a turn. Base parameters and those
 of `tyre_curve` and `lateral_load_transfer` are fitted to what its sensors would read, then the friction beside them.
@@ -70,20 +71,37 @@ def row(seed: int, index: int) -> dict[str, object]:
     car = bare(seed, index)
     own, found = left(car, INHERENT)
     freer, with_friction = left(car, (*INHERENT, FRICTION))
-    acting = {name: values for name, values in car.effects.items() if name in CATALOGUE}
-    theirs = [p.name for name in acting for p in CATALOGUE[name].parameters if p.name not in INHERENT]
-    with_effects, _ = left(car, (*INHERENT, *theirs), acting)
     return {
         "case": index, "drive": car.given.drive, "peak a_y": round(car.peak, 1), "left": own, "with friction": freer,
         "friction": with_friction[FRICTION], "uneven": found["lateral_load_transfer.uneven"],
         "by height and track": (2.0 * (car.truth.h_cog or 0.0) / (GRAVITY * TRACK)) ** 2,
         "damping": found["lateral_load_transfer.damping"], "true damping": getattr(car.world, "roll_damping", np.nan),
-        "left with its effects": with_effects,
+        "left with its effects": told(car, acting(car)),
     }  # fmt: skip
 
 
-def main(seed: str, *cases: str) -> None:
-    print(pd.DataFrame([row(int(seed), int(index)) for index in cases]).to_markdown(index=False, floatfmt=".3g"))
+def acting(car: WholeCar) -> Effects:
+    """The case's effects of the catalogue."""
+    return {name: values for name, values in car.effects.items() if name in CATALOGUE}
+
+
+def told(car: WholeCar, effects: Effects) -> float:
+    """What a fit leaves that has the parameters of these effects."""
+    theirs = [p.name for name in effects for p in CATALOGUE[name].parameters if p.name not in INHERENT]
+    return left(car, (*INHERENT, *theirs), effects)[0]
+
+
+def each(seed: int, index: int) -> dict[str, object]:
+    """What a fit leaves without effects, with each of the case's alone, and with all of them."""
+    car = bare(seed, index)
+    alone = {name: told(car, {name: values}) for name, values in acting(car).items()}
+    return {"case": index, "none": told(car, {})} | alone | {"all": told(car, acting(car))}
+
+
+def main(*words: str) -> None:
+    of, words = (each, words[1:]) if words[0] == "each" else (row, words)
+    rows = [of(int(words[0]), int(index)) for index in words[1:]]
+    print(pd.DataFrame(rows).to_markdown(index=False, floatfmt=".3g"))
 
 
 if __name__ == "__main__":
