@@ -91,7 +91,7 @@ def told(car: WholeCar, effects: Effects) -> float:
     return left(car, (*INHERENT, *theirs), effects)[0]
 
 
-def each(seed: int, index: int) -> dict[str, object]:
+def each(seed: int, index: int) -> dict[str, float]:
     """What a fit leaves without effects, with each of the case's alone, and with all of them."""
     car = bare(seed, index)
     alone = {name: told(car, {name: values}) for name, values in acting(car).items()}

@@ -199,7 +199,7 @@ def implied_pulls(
 ) -> tuple[float, float]:
     """Longitudinal forces of the axles [N] in their wheels' directions that an acceleration implies, with the front
     one's side force [N], a function of its longitudinal one; that axle's is solved for by plain iteration."""
-    front = 0.0
+    front = total = 0.0
     for _ in range(200):
         total = mass(c) * a_x + side(front) * math.sin(delta) - outer_forces(c, now, v_x)[0]
         share = c["drive_front"] if total > 0.0 else np.clip(c["brake_front"] + c["brake_balance_shift"], 0.0, 1.0)
