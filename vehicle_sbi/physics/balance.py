@@ -125,5 +125,6 @@ def settled(forces, p, car, a_x: float, a_y: float, r_dot: float):
         a_x, led_x = a_x + part * off_x - back * (a_x + off_x - led_x), a_x + off_x
         a_y, led_y = a_y + part * off_y - back * (a_y + off_y - led_y), a_y + off_y
         twist, led_twist = twist + part * turn - back * (twist + turn - led_twist), twist + turn
-        front = pointing(car.outside.delta - twist, side)
+        if car.drive == SPEED or p.steering_compliance_coefficient != 0.0:
+            front = pointing(car.outside.delta - twist, side)
         iteration += 1
