@@ -10,15 +10,16 @@ from test_effect_prior import stated
 from vehicle_sbi.inference.directions import left_out, null
 from vehicle_sbi.inference.information import PLAIN, SEEN
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
-from vehicle_sbi.mismatch.estimation.fit import Fit
+from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     LinearGaussian,
     beyond_base,
     linear_gaussian,
     order,
+    per_coefficient,
     showing,
-    to_nulls,
 )
+from vehicle_sbi.mismatch.estimation.to_nulls import to_nulls
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, responses
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.selection import expand_and_prune as pruning
@@ -32,6 +33,7 @@ from vehicle_sbi.mismatch.selection.expand_and_prune import (
 from vehicle_sbi.mismatch.selection.extended import with_effects
 from vehicle_sbi.mismatch.selection.inclusion import Chain, _Believed, _started
 from vehicle_sbi.mismatch.selection.pruned import Pruned, folded
+from vehicle_sbi.parameters import Parameter
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
 
@@ -80,29 +82,63 @@ def test_draws_beyond_a_bound_keep_their_spread_within_it() -> None:
     np.testing.assert_array_equal(found[:, 2], high[2])  # farther than the box is wide
 
 
-def test_of_an_effect_that_is_not_plain_the_linear_model_is_exact_where_it_is_missing(
+def test_of_an_effect_that_is_not_plain_the_linear_model_is_exact_where_base_parameters_take_it_over(
     expanded: tuple[Expansion, Fit],
 ) -> None:
     expansion, fit = expanded
-    steady, own = to_nulls(expansion, fit), len(expansion.base)
-    valid, taken, steep = fit.simulator.windows.valid, 0, 0
-    c, per_std = expansion.coefficients(fit.theta), expansion.slope(fit.theta) / fit.simulator.space.prior_std
-    absorbing = np.linalg.qr(fit.metric(fit.at.J[:own]).reshape(own, -1).T)[0]
+    own, valid, unit = len(expansion.base), fit.simulator.windows.valid, per_coefficient(expansion, fit)
+    (steady,), c = to_nulls(expansion, [fit]), expansion.coefficients(fit.theta)
+    base = fit.white[:own] * unit[:own, None]
+    absorbing, taken, steep = np.linalg.qr(base.T)[0], 0, 0
     for k, p in enumerate(expansion.sizes, start=own):
-        back, step = fit.theta.copy(), -c[k] * per_std[k]
-        back[k] = null(p)
+        goal = np.concatenate([fit.white[k] * unit[k] * c[k], np.zeros(own)])  # to be made up for, under the prior
+        makes_up = np.linalg.lstsq(np.concatenate([base.T, np.eye(own)]), goal, rcond=None)[0]
+        back = expansion.theta(c + np.concatenate([makes_up, np.zeros(len(c) - own)]))
+        back = np.clip(back, fit.simulator.space.low, fit.simulator.space.high)
+        back[own:], back[k] = fit.theta[own:], null(p)
         simulated = fit.simulator.noise_free(back[None])[0]
         white = fit.metric(np.where(valid, simulated - fit.at.y, 0.0)).reshape(-1)
         if abs(c[k]) <= 0.1 or np.linalg.norm(white - absorbing @ (absorbing.T @ white)) >= PLAIN:
             np.testing.assert_array_equal(steady.at.J[k], fit.at.J[k])
             steep += abs(c[k]) > 0.1
             continue
-        np.testing.assert_allclose((fit.at.y + step * steady.at.J[k])[valid], simulated[valid], atol=1e-9)
+        step = (expansion.coefficients(back) - c) * unit
+        np.testing.assert_allclose(
+            (fit.at.y + np.tensordot(step, steady.at.J, axes=1))[valid], simulated[valid], atol=1e-9
+        )
         taken += 1
     assert taken >= 2
     assert steep >= 1
     others = [k for k in range(len(fit.theta)) if not own <= k < own + len(expansion.sizes)]
     np.testing.assert_array_equal(steady.at.J[others], fit.at.J[others])
+
+
+def test_a_level_of_stiffnesses_leaves_nothing_on_its_way_back_where_they_are_free(
+    base: Fit, expanded: tuple[Expansion, Fit]
+) -> None:
+    # The level times a stiffness acts, so the recording cannot tell whether it is missing: stiffnesses make up for it.
+    # But for C_alpha / K, which knows no level: no carcass gives way here.
+    simulator, names = base.simulator, ("C_alpha_f", "C_alpha_r", "C_kappa_f", "C_kappa_r")
+    stated = np.array([float(simulator.nominal[name]) for name in names])
+    stiffnesses = tuple(
+        Parameter(name=name, unit="N/rad", low=0.5 * x, high=2.0 * x, fields=(name,))
+        for name, x in zip(names, stated.tolist(), strict=True)
+    )
+    level = replace(expanded[0].only({"stiffness_level.factor"}), base=stiffnesses)
+    nominal = simulator.nominal.copy()
+    nominal["K"] = np.inf
+    observation = base.observation.extended(replace(simulator, nominal=nominal)).freeing(level.space.parameters)
+    theta, same = np.array([*stated, 0.9]), np.array([*(0.9 * stated), 1.0])
+    fit = Fit(observation, theta, linearise(observation.simulator, theta))
+    alone, together = observation.simulator.noise_free(np.array([[*stated, 1.0], same]))
+    np.testing.assert_allclose(together, fit.at.y, rtol=0.0, atol=1e-9)
+    (steady,) = to_nulls(level, [fit])
+    step = (level.coefficients(same) - level.coefficients(theta)) * per_coefficient(level, fit)
+    along = np.tensordot(step[:-1], fit.at.J[:-1], axes=1)
+    left, second_order = (
+        np.linalg.norm(fit.metric(along + change)) for change in (step[-1] * steady.at.J[-1], alone - fit.at.y)
+    )
+    assert left < 0.01 * second_order
 
 
 def test_a_fit_believes_of_what_is_always_there_what_the_sampler_does(expanded: tuple[Expansion, Fit]) -> None:
@@ -122,7 +158,7 @@ def test_where_all_effects_are_at_their_nulls_the_linear_model_is_that_of_the_fi
     resting = replace(
         fit, theta=np.concatenate([fit.theta[: len(expansion.base)], expansion.rest[len(expansion.base) :]])
     )
-    assert to_nulls(expansion, resting) is resting
+    assert to_nulls(expansion, [resting]) == [resting]
 
 
 @pytest.mark.parametrize("coherence", [0.0, 0.6, 0.999])

@@ -27,7 +27,8 @@ inference.calibration inference.repetition
 mismatch.problem.observation mismatch.problem.case mismatch.estimation.estimate mismatch.estimation.fit
 mismatch.estimation.model mismatch.estimation.elsewhere mismatch.estimation.multistart mismatch.estimation.base_fit
 mismatch.estimation.fit_check mismatch.estimation.linearised mismatch.estimation.expansion
-mismatch.estimation.linear_gaussian mismatch.hypotheses.hypothesis mismatch.hypotheses.block
+mismatch.estimation.linear_gaussian mismatch.estimation.to_nulls
+mismatch.hypotheses.hypothesis mismatch.hypotheses.block
 mismatch.hypotheses.regressor mismatch.hypotheses.discrepancy mismatch.hypotheses.quantisation
 mismatch.hypotheses.spans mismatch.hypotheses.effect mismatch.hypotheses.dictionary
 mismatch.selection.score_test mismatch.selection.detection

@@ -8,7 +8,7 @@ takes a case through these rooms, each of which imports only from those above it
                  simulator that is driven as the car was (`observation`)
     estimation   fits: Gauss-Newton under estimated noise (`fit`), from many starts (`base_fit`, `multistart`), whether
                  one can be trusted (`fit_check`), the model with every effect in (`expansion`), all of it made linear
-                 (`linear_gaussian`, `linearised`)
+                 (`linear_gaussian`, `to_nulls`, `linearised`)
     hypotheses   what may be missing, in one form (`hypothesis`), a kind a file, listed in `dictionary`: effects of the
                  catalogue (`effect`) and the spans of those that come and go (`spans`), loads and errors that no effect
                  stands for (`regressor`, `discrepancy`), places (`block`), readings in steps (`quantisation`)

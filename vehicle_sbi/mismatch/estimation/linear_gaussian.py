@@ -7,16 +7,14 @@ recordings add their products: parameters are the same there, discrepancies have
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vehicle_sbi.inference.information import PLAIN, SEEN
+from vehicle_sbi.inference.information import SEEN
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
-
-LEAST = 0.1  # coefficient of a size, from which an effect's derivative is taken over the way back to it
 
 
 @dataclass(frozen=True)
@@ -46,29 +44,6 @@ def linear_gaussian(
         b[where] += X @ r
         at += len(X) - first
     return LinearGaussian(H, b, first + np.cumsum(widths, dtype=np.int64))
-
-
-def to_nulls(expansion: Expansion, fit: Fit) -> Fit:
-    """The fit with derivatives by some sizes taken over all of the way back to their nulls, in a simulation each.
-
-    Whether an effect is missing is asked about that step, which may change far less than its slope at the fit says: a
-    friction of half the stated one is steep where tyres slide, and flat before. Where the step is plain to see beside
-    the base parameters, the effect is there in any case, and its slope at the fit says how large it is.
-    """
-    simulator, own, c = fit.simulator, len(expansion.base), expansion.coefficients(fit.theta)
-    away = own + np.flatnonzero(np.abs(c[own : own + len(expansion.sizes)]) > LEAST)
-    if not len(away):
-        return fit
-    points = np.where(np.arange(len(c)) == away[:, None], expansion.rest, fit.theta)
-    steps = np.where(simulator.windows.valid, fit.at.y - simulator.noise_free(points), 0.0)
-    per_coefficient = simulator.space.prior_std / expansion.slope(fit.theta)
-    absorbing, _ = np.linalg.qr(fit.white[:own].T)
-    J = fit.at.J.copy()
-    for k, step in zip(away.tolist(), steps, strict=True):
-        white = fit.metric(step).reshape(-1)
-        if np.isfinite(step).all() and np.linalg.norm(white - absorbing @ (white @ absorbing)) < PLAIN:
-            J[k] = step / c[k] * per_coefficient[k]
-    return replace(fit, at=replace(fit.at, J=J))
 
 
 def showing(expansion: Expansion, problem: LinearGaussian) -> Bool[np.ndarray, " sizes"]:
@@ -107,8 +82,13 @@ def order(expansion: Expansion) -> np.ndarray:
     return np.concatenate([base, shapes, sizes])
 
 
+def per_coefficient(expansion: Expansion, fit: Fit) -> Float[np.ndarray, " d"]:
+    """By how many of the boxes' standard deviations parameters grow with their coefficients."""
+    return expansion.slope(fit.theta) / fit.simulator.space.prior_std
+
+
 def _columns(expansion: Expansion, fit: Fit) -> tuple[Float[np.ndarray, "d samples"], Float[np.ndarray, " samples"]]:
     """What parameters do per unit of their coefficients, and the residual from where all coefficients are zero."""
-    X = fit.white * (expansion.slope(fit.theta) / fit.simulator.space.prior_std)[:, None]
+    X = fit.white * per_coefficient(expansion, fit)[:, None]
     r = fit.metric(fit.residual).reshape(-1) + expansion.coefficients(fit.theta) @ X
     return X[order(expansion)], r

@@ -25,8 +25,8 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     linear_gaussian,
     order,
     showing,
-    to_nulls,
 )
+from vehicle_sbi.mismatch.estimation.to_nulls import to_nulls
 from vehicle_sbi.mismatch.hypotheses.dictionary import believed, sources
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Source, parts, remainders
 from vehicle_sbi.mismatch.hypotheses.spans import likeliest_spans
@@ -186,7 +186,7 @@ class _Asked:
         fit = replace(fit, observation=replace(fit.observation, observed=self.observed))
         fits, expansion = [fit, *_further(fit, self.naming)], now.expansion
         off = [[it.about(one) for it in them] for one, them in zip(fits, self.sources, strict=False)]
-        about = [to_nulls(expansion, one) for one in fits]
+        about = to_nulls(expansion, fits)
         problem = linear_gaussian(expansion, [*zip(about, map(_columns, off), strict=False)])
         groups = groups_of(expansion, [*itertools.chain(*off)], self.prior)
         return _Told(now, fit, off[0], problem, sample(problem.H, problem.b, groups, Shared(), chain, self.rng))
