@@ -218,7 +218,9 @@ def effective_radius(c: Car, F_z: float, axle: str) -> float:
 
 def relaxation_lengths(c: Car) -> tuple[float, float]:
     """Equation 11's sigma [m] of both axles, and what is added to it."""
-    return c["C_alpha_f"] / c["K"] + c["relaxation_front"], c["C_alpha_r"] / c["K"] + c["relaxation_rear"]
+    stiff_f, stiff_r = levels(c, "stiffness_level")
+    sigma_f, sigma_r = stiff_f * c["C_alpha_f"] / c["K"], stiff_r * c["C_alpha_r"] / c["K"]
+    return sigma_f + c["relaxation_front"], sigma_r + c["relaxation_rear"]
 
 
 def levels(c: Car, effect: str) -> tuple[float, float]:

@@ -163,7 +163,7 @@ CATALOGUE: Mapping[str, Effect] = {
                 "mu_axle = factor factor_axle mu_vehicle", "Dugoff's mu",
                 factor=("1", 0.3, 1.3, 1.0), front=("1", 0.6, 1.3, 1.0), rear=("1", 0.6, 1.3, 1.0)),
         _effect("stiffness_level", "tyre", "tyre stiffnesses over the vehicle's, of both axles or of one",
-                "C_axle = factor factor_axle C_vehicle, cornering and longitudinal alike",
+                "C_axle = factor factor_axle C_vehicle, cornering and longitudinal alike, and so C_alpha / K",
                 f"{PACEJKA}, ch. 1: tread, pressure and temperature",
                 factor=("1", 0.5, 1.6, 1.0), front=("1", 0.5, 1.6, 1.0), rear=("1", 0.5, 1.6, 1.0)),
         _effect("friction_step", "tyre", "another friction coefficient for a while",
@@ -296,8 +296,8 @@ def derive(p) -> None:
     p.I_z = carried + yaw_inertia(p, p.I_z_stated if p.I_z_stated > 0.0 else p.m * p.l_f * (p.L - p.l_f))
     p.grip = friction_level(p, p.mu)
     weight = p.mass * GRAVITY * math.cos(p.road_grade_angle) * math.cos(p.road_bank_angle)
-    p.sigma_f, p.sigma_r = relaxation(p, p.C_alpha_f / p.K, p.C_alpha_r / p.K)
     p.stiff_f, p.stiff_r = stiffness_level(p)
+    p.sigma_f, p.sigma_r = relaxation(p, p.stiff_f * p.C_alpha_f / p.K, p.stiff_r * p.C_alpha_r / p.K)
     p.slide_f, p.slide_r = p.friction_level_front, p.friction_level_rear
     p.R_front, p.R_rear = wheel_radius(p)
     p.moved_f = max(1.0 + p.lateral_load_transfer_front * p.L / p.l_rear, 0.0)
