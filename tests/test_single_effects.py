@@ -10,18 +10,17 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
 from vehicle_sbi.physics.effects import (
-    EDGE,
     KNOTS,
     derive,
     downforce,
     gust,
-    interpolate,
     road_grade,
     steer,
     torques,
     tyre_force,
 )
 from vehicle_sbi.physics.sensors import MOTION
+from vehicle_sbi.physics.signals import EDGE, interpolate
 from vehicle_sbi.physics.simulation import MODELS
 from vehicle_sbi.physics.single_track import INPUTS
 

@@ -15,17 +15,15 @@ import numpy as np
 from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.magic_formula import peaked_and_full
+from vehicle_sbi.physics.signals import SHORTEST, interpolate, lagged, pulse
 from vehicle_sbi.physics.tyre import dugoff, dugoff_share, dugoff_side
 from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle
 
-EDGE = 0.1  # [s] over which what begins or ends at a moment does so
 KNOTS = 12  # of a profile over the recording, equally spaced
 LEAST_LOAD = 1e-3  # of the static one, that loads are divided by
 LEAST_STIFFNESS = 0.05  # share of a stiffness that no load and no acceleration takes away
 LEAST_LAG = 0.5  # of the way that a wheel rolls in a step of the integrator, the least length that lags as it is
 MOST_GRIP = 0.99  # share of the grip that a given longitudinal force takes, at most
-SPRUNG = 0.15  # damping ratio of a body on its springs at least
-SHORTEST = 1e-9  # [s] of a natural period, below which there is none
 ROLL_DAMPING = 0.3  # damping ratio with which a passenger car's body leans, where none is found
 SPRINGS_BEAR = 0.75  # of what a turn moves across, with their dampers, as in the paper's car; roll centres the rest
 LEAST_SWING = 4.0  # steps of the integrator, the least natural period that swings as it is
@@ -330,89 +328,6 @@ def imu_lever_arm(p) -> tuple[float, float, float]:
     y = p.imu_y if math.isfinite(p.imu_y) else 0.0
     z = p.imu_z - p.h_cog if math.isfinite(p.imu_z) else 0.0
     return x + p.imu_lever_arm_x, y + p.imu_lever_arm_y, z + p.imu_lever_arm_z
-
-
-@compiled
-def interpolate(signal, position: float) -> float:
-    """The signal at a fractional sample `position`, held beyond its ends.
-
-    Between samples it is the cubic of Keys (1981), whose slope at each is that of the line through its neighbours. A
-    straight line between samples would take off up to 1 - cos(w / 2) of what turns by w a sample, and have a kink at
-    each, where fits of a dead time stop.
-    """
-    last = len(signal) - 1
-    if position <= 0.0:
-        return signal[0]
-    if position >= last:
-        return signal[last]
-    k = int(position)
-    share = position - k
-    if share == 0.0:
-        return signal[k]
-    now, then = signal[k], signal[k + 1]
-    change = then - now
-    slope = 0.5 * (then - signal[k - 1]) if k > 0 else change
-    slope_then = 0.5 * (signal[k + 2] - now) if k + 1 < last else change
-    bend, twist = 3.0 * change - 2.0 * slope - slope_then, slope + slope_then - 2.0 * change
-    return now + share * (slope + share * (bend + share * twist))
-
-
-@compiled
-def lagged(y: float, before: float, now: float, lag: float, rate: float) -> float:
-    """A first-order lag [s] a sample after `y`, exactly, its input linear from `before` to `now`; `now` without a lag.
-
-    lag dy/dt = u - y has y = u - lag du/dt as its particular solution on a straight line u.
-    """
-    if lag <= 0.0:
-        return now
-    trailing = rate * lag * (now - before)
-    return now - trailing + math.exp(-1.0 / (rate * lag)) * (y - before + trailing)
-
-
-@compiled
-def swaying(
-    y: float, dy: float, before: float, now: float, lag: float, period: float, rate: float
-) -> tuple[float, float]:
-    """A spring and a damper a sample after (`y`, `dy`), exactly, input linear from `before` to `now`: y and dy/dt.
-
-    With T the natural period [s] over 2 pi and c = lag + 2 SPRUNG T, T^2 d2y/dt2 + c dy/dt = u - y has
-    y = u - c du/dt as its particular solution on a straight line u; the rest decays as it does without input. Without
-    a period it is a first-order lag [s].
-    """
-    if period <= SHORTEST:
-        return lagged(y, before, now, lag, rate), 0.0
-    T = period / (2.0 * math.pi)
-    c, stiffness, slope = max(lag, 0.0) + 2.0 * SPRUNG * T, 1.0 / (T * T), rate * (now - before)
-    a = 0.5 * c * stiffness
-    cosine, sine = _free(a, a * a - stiffness, stiffness, 1.0 / rate)
-    off, d_off = y - before + c * slope, dy - slope
-    return (
-        now - c * slope + (cosine + a * sine) * off + sine * d_off,
-        slope - stiffness * sine * off + (cosine - a * sine) * d_off,
-    )
-
-
-@compiled
-def _free(a: float, square: float, stiffness: float, t: float) -> tuple[float, float]:
-    """exp(-a t) times cosh(w t) and sinh(w t) / w, w^2 being `square` = a^2 - stiffness, which may be negative."""
-    w = math.sqrt(abs(square))
-    if square < 0.0:
-        return math.exp(-a * t) * math.cos(w * t), math.exp(-a * t) * math.sin(w * t) / w
-    slow, fast = math.exp(-stiffness / (a + w) * t), math.exp(-(a + w) * t)
-    return 0.5 * (slow + fast), 0.5 * (slow - fast) / w if w * t > 1e-6 else t * slow
-
-
-@compiled
-def rise(t: float) -> float:
-    """0 before t = 0, 1 after EDGE, a smooth cubic between."""
-    share = min(max(t / EDGE, 0.0), 1.0)
-    return share * share * (3.0 - 2.0 * share)
-
-
-@compiled
-def pulse(t: float, start: float, duration: float) -> float:
-    """1 from `start` on for `duration` [s], with smooth edges; 0 everywhere where it lasts no time."""
-    return rise(t - start) - rise(t - start - duration) if duration > 0.0 else 0.0
 
 
 # --- command to wheels ----------------------------------------------------------------------------------------------
