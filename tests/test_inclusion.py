@@ -118,6 +118,18 @@ def test_coefficients_have_the_posterior_s_mean_and_spread() -> None:
     assert draws.std(axis=0) / std == pytest.approx(np.ones(9), abs=5.0 / np.sqrt(2 * 4000))
 
 
+def test_means_are_those_of_the_normal_that_the_levels_give() -> None:
+    # To a thousandth of a standard deviation, by which nothing that is said of them changes.
+    H, b, groups = problem(signed=True)
+    found = sample(H, b, groups, SHARED, Chain(chains=2, sweeps=200, forgotten=50), np.random.default_rng(2))
+    widths = np.diff([groups.start, *groups.stop])
+    for level, mean in zip(found.level, found.mean, strict=True):
+        amplitude = np.array([groups.amplitude[g, k] for g, k in enumerate(level)])
+        precision = np.concatenate([np.ones(groups.start), np.repeat(amplitude**-2, widths)])
+        S = np.linalg.inv(H + np.diag(precision))
+        assert np.all(np.abs(mean - S @ b) < 1e-3 * np.sqrt(np.diag(S)))
+
+
 def test_one_sided_coefficients_in_slabs_are_never_on_the_wrong_side() -> None:
     H, b, groups = problem(signed=True)
     found = sample(H, b, groups, SHARED, Chain(chains=2, sweeps=300, forgotten=100), np.random.default_rng(1))

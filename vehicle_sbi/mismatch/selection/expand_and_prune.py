@@ -132,11 +132,15 @@ class _Told:
 
     @property
     def pruned(self) -> Pruned:
-        """What was drawn, as parameters within their boxes, effects and discrepancies."""
+        """What was drawn, as parameters within their boxes, effects and discrepancies.
+
+        Of discrepancies counts what is found of them, the mean given the levels: a draw of forty columns that little is
+        known of has a signal-to-noise ratio above 4 by itself.
+        """
         expansion, drawn, space = self.now.expansion, self.drawn, self.now.expansion.space
         named, first = len(expansion.groups), len(expansion.unit)
         included = np.repeat(drawn.included[:, :named], expansion.groups, axis=1)
-        discrepant = drawn.included[:, named:] & (beyond_base(expansion, self.problem, drawn.coefficient) >= TOLD)
+        discrepant = drawn.included[:, named:] & (beyond_base(expansion, self.problem, drawn.mean) >= TOLD)
         left = remainders(self.fit, self.off, drawn.coefficient[:, first:], discrepant)
         unexplained = np.asarray(discrepant.any(axis=1))
         theta, shows = _theta(expansion, drawn.coefficient), showing(expansion, self.problem)

@@ -105,10 +105,12 @@ class Shared:
 
 @dataclass(frozen=True)
 class Sampled:
-    """States and coefficients that were kept: `level` of each group, `coefficient` of each column."""
+    """States and coefficients that were kept: `level` of each group, `coefficient` of each column, and its `mean` over
+    all draws with these levels, where no bound is in its way."""
 
     level: Int[np.ndarray, "n k"]
     coefficient: Float[np.ndarray, "n columns"]
+    mean: Float[np.ndarray, "n columns"]
 
     @property
     def included(self) -> Bool[np.ndarray, "n k"]:
@@ -166,8 +168,7 @@ def sample(
     for k in range(chain.chains):
         begin = np.full(len(groups.stop), k % 2, dtype=np.int64)
         found.append(_run(H, b, believed, alike, odds, factors, begin, counts, int(rng.integers(2**31))))
-    level, coefficient = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return Sampled(level, coefficient)
+    return Sampled(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 @compiled_apart
@@ -318,13 +319,13 @@ def _started(H, b, believed, begin):
 
 @compiled_apart
 def _run(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
-    """One chain; levels and coefficients of every so many sweeps."""
+    """One chain; levels, coefficients and their means of every so many sweeps."""
     np.random.seed(seed)
     (missings, discrepants), (sweeps, forgotten, every) = factors, counts
     state, k = _started(H, b, believed, begin), len(begin)
     missing, discrepant = missings[-1], discrepants[-1]
     kept = (sweeps - forgotten) // every
-    levels, values = np.zeros((kept, k), np.int64), np.zeros((kept, len(b)))
+    levels, values, means = np.zeros((kept, k), np.int64), np.zeros((kept, len(b))), np.zeros((kept, len(b)))
     row = 0
     for sweep in range(sweeps):
         odds = _odds(rate_odds, believed, missing, discrepant)
@@ -344,8 +345,9 @@ def _run(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
         if sweep >= forgotten and (sweep - forgotten) % every == 0 and row < kept:
             levels[row] = state.level
             values[row] = _drawn(H, state.precision, state.m, believed.sign, state.slab)
+            means[row] = state.m
             row += 1
-    return levels, values
+    return levels, values, means
 
 
 @compiled_apart
