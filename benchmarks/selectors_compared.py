@@ -31,7 +31,8 @@ from whole_car.scores import STRONG, standing
 from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.mismatch.answer.wording import NAMED
-from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian, to_nulls
+from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian, linear_gaussian
+from vehicle_sbi.mismatch.estimation.to_nulls import to_nulls
 from vehicle_sbi.mismatch.hypotheses.dictionary import sources
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy
 from vehicle_sbi.mismatch.pipeline import AtOnce
@@ -83,7 +84,7 @@ def problem(path: Path, prior: EffectPrior) -> Problem | None:
     if pruned is None:
         return None
     off = [one.about(pruned.fit) for one in sources(pruned.fit)]
-    about = to_nulls(pruned.expansion, pruned.fit)
+    (about,) = to_nulls(pruned.expansion, [pruned.fit])
     return Problem(pruned, off, linear_gaussian(pruned.expansion, [(about, [d.whitened for d in off])]), prior)
 
 
