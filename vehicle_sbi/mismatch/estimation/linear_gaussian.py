@@ -55,8 +55,8 @@ def showing(expansion: Expansion, problem: LinearGaussian) -> Bool[np.ndarray, "
 def beyond_base(
     expansion: Expansion, problem: LinearGaussian, coefficient: Float[np.ndarray, "n columns"]
 ) -> Float[np.ndarray, "n groups"]:
-    """What each discrepancy changes in each draw without what base parameters take over, as a signal-to-noise ratio:
-    the root of its sum of squares in standard deviations of the noise."""
+    """What each discrepancy changes with each row of coefficients, without what base parameters take over, as a
+    signal-to-noise ratio: the root of its sum of squares in standard deviations of the noise."""
     own, first = len(expansion.base), len(expansion.unit)
     among, shared, H = problem.H[:own, :own] + np.eye(own), problem.H[:own], problem.H
     squares = []
