@@ -340,11 +340,13 @@ def test_a_diagnosis_gives_its_averaged_parameters_and_the_effects_it_names(tmp_
 
 
 def test_a_named_stiffness_level_scales_the_axles(tmp_path: Path) -> None:
-    run_of(tmp_path, MEANS | {"stiffness_level.factor": (0.8, 0.05, "1")})
+    table = run_of(tmp_path, MEANS | {"stiffness_level.factor": (0.8, 0.05, "1")})
     whole = json.loads(texts(tmp_path, "json")["parameters.json"])
     found = {name: one["mean"] for name, one in whole["parameters"].items()}
     cf = parameters(texts(tmp_path, "autoware")["mpc.param.yaml"])["vehicle"]["cf"]
-    assert cf == pytest.approx((6e4 + 1e5 * found["delta_C_alpha_f"]) * found["stiffness_level.factor"], rel=0.001)
+    stiffness, level = 6e4 + 1e5 * found["delta_C_alpha_f"], found["stiffness_level.factor"]
+    std = np.hypot(1e5 * table["std"]["delta_C_alpha_f"] * level, stiffness * table["std"]["stiffness_level.factor"])
+    assert cf == shown(stiffness * level, std)
     assert whole["constants"]["C_alpha_f"]["from"] == ["delta_C_alpha_f", "stiffness_level.factor"]
 
 

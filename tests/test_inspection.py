@@ -217,11 +217,11 @@ def test_a_german_logger_s_file_is_read_as_windows_writes_it(tmp_path: Path) -> 
 
 def test_the_vehicle_file_fails_until_it_is_edited(tmp_path: Path) -> None:
     _, path = write(inspect(foreign(tmp_path / "drive.csv")), tmp_path)
-    with pytest.raises(InputError, match=r"vehicle 'drive': m = 'a number, or null' is not a number"):
+    with pytest.raises(InputError, match=r"vehicle 'drive': m = 'a number, or null'; a number has to stand there"):
         read_vehicle(str(path))
     text = path.read_text().replace('m: "a number, or null"', "m: 1500").replace('"a number, or null"', "null")
     path.write_text(text)
-    with pytest.raises(InputError, match=r"drive_front = '1 front, 0 rear, between if both' is not a number"):
+    with pytest.raises(InputError, match=r"drive_front = '1 front, 0 rear, between if both'; a number has to stand there"):
         read_vehicle(str(path))
     text = text.replace('"1 front, 0 rear, between if both"', "0")
     path.write_text(text)

@@ -92,7 +92,7 @@ def test_the_page_of_a_diagnosis_holds_the_answer_and_its_warnings(diagnosis: tu
 def test_a_page_never_denies_a_mismatch_that_it_names() -> None:
     found: Any = None  # which is asked for places alone
     answer: Any = SimpleNamespace(mismatch=[], detected=True, p_value=0.008)
-    assert _where(answer, found) == Words([f"They differ {as_a_whole(answer)}."])
+    assert _where(answer, found) == Words([as_a_whole(answer)])
     answer.detected = False
     assert _where(answer, found) == Words(["Nowhere beyond noise."])
 

@@ -171,8 +171,10 @@ def test_a_headline_has_at_most_25_words_however_many_names_there_are() -> None:
 
 
 def test_a_mismatch_that_stands_out_nowhere_is_said_to_be_one_as_a_whole(base: Fit) -> None:
-    answer: Any = SimpleNamespace(mismatch=[], p_value=0.008, explanations=[], effects={})
-    assert _sizes(answer, base.simulator).startswith("They differ as a whole (p = 0.008), but no single stretch")
+    answer: Any = SimpleNamespace(
+        mismatch=[], p_value=0.008, explanations=[], effects={}, headline="", indistinguishable=[], p_indistinguishable=[]
+    )
+    assert _sizes(answer, base.simulator).startswith("They differ (p = 0.008), but no single stretch")
 
 
 def test_what_is_found_has_the_base_model_that_was_examined(base: Fit) -> None:

@@ -13,11 +13,11 @@ from vehicle_sbi.mismatch.answer.schema import Named, Outgrown, Unknown
 from vehicle_sbi.mismatch.answer.wording import (
     NAMED,
     TOO_SMALL,
+    _its_set,
     _left,
     _proof,
     _shown,
     _sizes,
-    _unlike_headline,
     in_the_car,
     spoken_p,
     widen,
@@ -64,9 +64,11 @@ def test_of_each_effect_the_size_that_is_most_certain_is_said_before_any_other()
     effects = dict.fromkeys(("relaxation", "imu_lever_arm", "friction_level", "stiffness_level"), 0.9)
     simulator: Any = SimpleNamespace(nominal=nominal_record(PAPER))
     answer: Any = SimpleNamespace(
-        explanations=[Named(tuple(effects), 0.9, 0.0, sizes, {})], effects=effects, mismatch=[], p_value=0.008
-    )
+        explanations=[Named(tuple(effects), 0.9, 0.0, sizes, {})], effects=effects, mismatch=[], p_value=0.008,
+        indistinguishable=[], p_indistinguishable=[], headline="Missing: relaxation (0.90), and 3 more.",
+    )  # fmt: skip
     said = _sizes(answer, simulator)
+    assert "Also missing: imu lever arm (0.90), friction level (0.90), stiffness level (0.90)." in said
     main = said[said.index("relaxation.rear") :].split("; ")
     assert [one.split(" ")[0].split(".")[0] for one in main[:4]] == [*effects]
     assert main[-1] == "and 3 more."
@@ -74,12 +76,12 @@ def test_of_each_effect_the_size_that_is_most_certain_is_said_before_any_other()
 
 def test_what_the_extended_model_has_beside_the_headline_and_lacks_of_it() -> None:
     answer: Any = SimpleNamespace(
-        explanations=[SimpleNamespace(effects=("body_roll", "gust"))],
+        explanations=[Named(("body_roll", "gust"), 0.6, 0.1, {}, {})],
         effects={"body_roll": 0.9, "relaxation": 0.6, "gust": 0.4},
     )
-    assert _unlike_headline(answer) == " (with gust, without relaxation)"
+    assert _its_set(answer).endswith("(probability 0.7): the effects above, with gust, without relaxation.")
     answer.effects = {"body_roll": 0.9, "gust": 0.7, "relaxation": 0.1}
-    assert _unlike_headline(answer) == ""
+    assert _its_set(answer) == ""
 
 
 @pytest.mark.parametrize("probability", [0.01, 0.6])
@@ -89,7 +91,7 @@ def test_an_extended_model_whose_set_is_one_of_many_comes_with_its_probability(p
         fit={"accepted": True, "accepted_because": "it gains"},
     )  # fmt: skip
     said = _proof(answer, trusted=True)
-    assert ("the likeliest of many (probability 0.016)" in said) == (probability < NAMED)
+    assert ("the likeliest of many sets (probability 0.016)." in said) == (probability < NAMED)
 
 
 @pytest.mark.parametrize(("p_unknown", "said"), [(0.52, TOO_SMALL), (0.4, "")])

@@ -46,3 +46,4 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 
 compiled = njit(cache=True, error_model="numpy", forceinline=True)
 compiled_apart = njit(cache=True, error_model="numpy")
+compiled_beside = njit(cache=True, error_model="numpy", nogil=True)  # runs while other threads of Python do

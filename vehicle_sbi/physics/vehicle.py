@@ -32,7 +32,7 @@ MEANINGS: Mapping[str, str] = {
     "C_kappa_f": "longitudinal stiffness, front axle",
     "C_kappa_r": "longitudinal stiffness, rear axle",
     "mu": "friction coefficient",
-    "R_f": "free tyre radius",
+    "R_f": "free tyre radius; with C_vert .inf the rolling radius",
     "I_wf": "inertia of the front wheels and what turns with them",
     "I_wr": "inertia of the rear wheels and what turns with them",
     "drive_front": "share of the drive torque on the front axle: 1 front, 0 rear",
@@ -106,7 +106,7 @@ class Vehicle:
         where = f"vehicle '{self.name}'"
         for name, value in self.constants().items():
             if not isinstance(value, int | float) or isinstance(value, bool):
-                raise InputError(f"{where}: {name} = {value!r} is not a number")
+                raise InputError(f"{where}: {name} = {value!r}; a number has to stand there")
             if math.isinf(value) and name not in ("C_vert", "K"):
                 raise InputError(f"{where}: {name} = {value:g}; it must be finite")
             if name in IMU_PLACE and math.isfinite(value):

@@ -9,12 +9,19 @@ from vehicle_sbi.data.inspection.guess import Guess
 from vehicle_sbi.data.inspection.inspection import Inspection, time_settings
 
 MOST_COLUMNS = 24  # lines on the screen; the rest is counted
+MOST_NOTES = 8  # lines on what was changed in reading
 LONGEST = 32  # characters of a column's name
 
 
 def spoken(inspection: Inspection) -> str:
     """The whole of it but the next command."""
-    parts = [_contents(inspection), _mapping(inspection), _lively(inspection), _wrong(inspection)]
+    parts = [
+        _contents(inspection),
+        _mapping(inspection),
+        _lively(inspection),
+        _left_out(inspection),
+        _wrong(inspection),
+    ]
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
 
 
@@ -101,6 +108,13 @@ def _also(one: Guess) -> str:
 
 def _lively(inspection: Inspection) -> list[str]:
     return ["how lively the drive is", *(f"  {line}" for line in inspection.lively)] if inspection.lively else []
+
+
+def _left_out(inspection: Inspection) -> list[str]:
+    """What reading leaves out or fills in (spikes, gaps), as far as there is room."""
+    notes = [*inspection.notes]
+    more = [f"and {len(notes) - MOST_NOTES} more"] if len(notes) > MOST_NOTES else []
+    return ["what was changed in reading", *(f"  {line}" for line in [*notes[:MOST_NOTES], *more])] if notes else []
 
 
 def _wrong(inspection: Inspection) -> list[str]:

@@ -43,6 +43,7 @@ FEWEST = 30  # draws of a set, from which its parameters are said by those alone
 LEAST = 0.05  # probability from which one that is not is listed
 CORNERED = 2  # base parameters on rims, from which the fit is said to be in a corner
 MISFIT = 2.0  # times the sensor's own noise, from which what is left over is worth a warning
+CUT = 2.0  # standard deviations, within which a limit of its prior cuts a parameter's interval
 STUCK = 0.2  # share of the draws beyond a parameter's box, from which it would leave it
 
 
@@ -74,7 +75,7 @@ def verdict(case: Case, found: Found) -> Verdict:
     fit |= {name: asdict(_score(prediction)) for name, prediction in found.predictions.items()}
     fit |= {} if found.gained is None else {"gain_log_score": asdict(found.gained)}
     fit |= {} if accepted is None else {"accepted": accepted.accepted, "accepted_because": accepted.because}
-    warnings = [*case.warnings, *_warnings(found)]
+    warnings = [*case.warnings, *_warnings(found), *_cut(pruned, after)]
     alike = alternatives(pruned, found.seen.alike) if pruned and detected else []
     answer = Verdict(
         schema=SCHEMA,
@@ -92,7 +93,7 @@ def verdict(case: Case, found: Found) -> Verdict:
         unknown=_unknown(pruned) if pruned and detected else None,
         indistinguishable=alike,
         p_indistinguishable=[pruned.any_of(group) for group in alike] if pruned else [],
-        separating_experiment=advice(model, found.extended.other) if found.extended.other else "",
+        separating_experiment=_advice(case, found.extended),
         fit=fit,
         base_parameters={
             name: {"before": _plain(before[name]), "after": _plain(after[name]), "unit": before[name].unit}
@@ -101,7 +102,7 @@ def verdict(case: Case, found: Found) -> Verdict:
         could_show={
             name: Visible(c.parameter.name, c.size, c.parameter.unit) for name, c in found.seen.could_show().items()
         },
-        invisible=found.seen.invisible(),
+        invisible=[name for name in found.seen.invisible() if not (pruned and name in pruned.effects)],
         cannot_act=found.seen.cannot_act,
         unsupported=_unsupported(pruned) if pruned and detected else [],
         warnings=warnings,
@@ -115,8 +116,16 @@ def verdict(case: Case, found: Found) -> Verdict:
 def _in_words(answer: Verdict, found: Found, *, trusted: bool) -> Verdict:
     """The answer with its headline, the lines after it and both as one text."""
     context = Context(found.base.fit.simulator, found.seen, found.predictions, trusted)
-    said, more = headline(answer, trusted=trusted), lines(answer, context)
-    return replace(answer, headline=said, lines=more, sentence=" ".join([said, *more]))
+    answer = replace(answer, headline=headline(answer, trusted=trusted))
+    more = lines(answer, context)
+    return replace(answer, lines=more, sentence=" ".join([answer.headline, *more]))
+
+
+def _advice(case: Case, found: Extended) -> str:
+    """What would tell the likeliest model from another, recordings that were held out included."""
+    if found.other is None:
+        return ""
+    return advice(found.model, found.other, case.held_out if case.apart and case.held_out.anything else None)
 
 
 def _explanations(pruned: Pruned | None, model: Model) -> list[Named]:
@@ -222,6 +231,16 @@ def _warnings(found: Found) -> list[str]:
     cornered = [line for called, one in models.items() for line in _cornered(one, called)]
     on_rims = [line for called, one in models.items() for line in _rim(one, called)]
     return [*cornered, *found.fit_check.notes, *on_rims, *_misfit(found.base.fit)]
+
+
+def _cut(pruned: Pruned | None, after: Mapping[str, Estimate]) -> list[str]:
+    """Base parameters whose interval, with what is missing averaged over, ends at a limit of their prior."""
+    return [
+        f"{p.name}: with what is missing averaged over, its prior's limit of {_nearer(p, one.mean)} cuts its interval; "
+        "a wider prior may move it."
+        for p in (pruned.expansion.base if pruned else ())
+        if min((one := after[p.name]).mean - p.low, p.high - one.mean) < CUT * one.std
+    ]
 
 
 def _unpredicted(found: Found) -> list[str]:

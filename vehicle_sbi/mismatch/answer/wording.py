@@ -111,7 +111,8 @@ def lines(answer: Verdict, context: Context) -> list[str]:
 
 
 def _sizes(answer: Verdict, simulator: Simulator) -> str:
-    """Where they differ most, and the sizes of what is missing: of each effect the main one before any other."""
+    """Where they differ most, what the headline has no room for, and the sizes of what is missing: of each effect the
+    main one before any other."""
     found = answer.explanations[0] if answer.explanations else None
     by_effect = [_main_first(found.of(effect)) for effect in answer.effects] if found else []
     ranks = itertools.zip_longest(*by_effect)
@@ -120,7 +121,13 @@ def _sizes(answer: Verdict, simulator: Simulator) -> str:
     spelled = "; ".join(values[:IN_LINE]) + (f"; and {len(values) - IN_LINE} more" if len(values) > IN_LINE else "")
     acting = [f"{one}." for one in found.acting] if found else []
     size = [f"{spelled}."] if spelled else []
-    return " ".join([_differ(answer, simulator), *size, *acting])
+    return " ".join([_differ(answer, simulator), *_beyond_headline(answer), *size, *acting])
+
+
+def _beyond_headline(answer: Verdict) -> list[str]:
+    """What is named and not spelled out in the headline."""
+    more = [one for one in _named(answer) if one not in answer.headline]
+    return [f"Also missing: {', '.join(more)}."] if more else []
 
 
 def _main_first(sizes: Mapping[str, Estimate]) -> list[tuple[str, Estimate]]:
@@ -134,14 +141,14 @@ def _main_first(sizes: Mapping[str, Estimate]) -> list[tuple[str, Estimate]]:
 
 
 def _differ(answer: Verdict, simulator: Simulator) -> str:
-    """Where they differ most, or that they do as a whole."""
-    most = [f"most in {one.channel} {when(one, simulator)} ({spoken_p(answer.p_value)})" for one in answer.mismatch[:1]]
-    return f"They differ {most[0] if most else as_a_whole(answer)}."
+    """That they differ, and where most."""
+    most = [f"most in {one.channel} {when(one, simulator)}" for one in answer.mismatch[:1]]
+    return f"They differ ({spoken_p(answer.p_value)}), {most[0]}." if most else as_a_whole(answer)
 
 
 def as_a_whole(answer: Verdict) -> str:
     """That a mismatch is detected, and that it shows in no one place more than noise does anywhere."""
-    return f"as a whole ({spoken_p(answer.p_value)}), but no single stretch of time or signal stands out"
+    return f"They differ ({spoken_p(answer.p_value)}), but no single stretch of time or signal stands out."
 
 
 def when(place: Place, simulator: Simulator) -> str:
@@ -217,7 +224,10 @@ def _outgrown(unknown: Unknown | None) -> Sequence[Outgrown]:
 def widen(at_bounds: Sequence[tuple[str, tuple[float, float], float]]) -> str:
     """What to do about parameters that are at bounds: their names, their boxes, and where in them they are."""
     words = " ".join(f"'+prior.{name}=[{low:g},{high:g}]'" for name, (low, high) in map(_longer, at_bounds))
-    return f"Repeat with wider priors, {words}, or state what was measured in the vehicle file."
+    return (
+        f"Repeat with wider priors, {words}, or state what was measured in the vehicle file. "
+        "Keep a limit that is certain."
+    )
 
 
 def _longer(one: tuple[str, tuple[float, float], float]) -> tuple[str, tuple[float, float]]:
@@ -235,28 +245,23 @@ def _proof(answer: Verdict, *, trusted: bool) -> str:
     if "accepted" not in answer.fit:
         return ""
     verdict = "accepted" if answer.fit["accepted"] else "not accepted"
-    said = (
-        f"On held-out data the extended model{_unlike_headline(answer)} is {verdict}: {answer.fit['accepted_because']}."
-    )
+    said = f"On held-out data the extended model is {verdict}: {answer.fit['accepted_because']}."
     doubt = " It may predict well, but its parameters are uncertain until the warnings are resolved."
-    return said + _one_of_many(answer) + (doubt if answer.fit["accepted"] and not trusted else "")
+    return said + _its_set(answer) + (doubt if answer.fit["accepted"] and not trusted else "")
 
 
-def _one_of_many(answer: Verdict) -> str:
-    """How probable the extended model's set of effects is, where others together are likelier."""
+def _its_set(answer: Verdict) -> str:
+    """How probable the extended model's set of effects is, and what it has beside the effects that are likely one by
+    one, and lacks of them; nothing where it is those, and as likely as not."""
     likeliest = answer.explanations[0]
     probability = likeliest.probability + likeliest.beside_unknown
-    if probability > NAMED:
-        return ""
-    return f" Its set of effects is the likeliest of many (probability {probability:.2g})."
-
-
-def _unlike_headline(answer: Verdict) -> str:
-    """What the likeliest set has beside the effects that are likely one by one, and lacks of them."""
-    has, named = answer.explanations[0].effects, [name for name, p in answer.effects.items() if p > NAMED]
+    has, named = likeliest.effects, [name for name, p in answer.effects.items() if p > NAMED]
     more, less = ([_plain(n) for n in a if n not in b] for a, b in ((has, named), (named, has)))
-    said = [f"{word} {enumerated(names)}" for word, names in (("with", more), ("without", less)) if names]
-    return f" ({', '.join(said)})" if said else ""
+    unlike = [f"{word} {enumerated(names)}" for word, names in (("with", more), ("without", less)) if names]
+    if probability > NAMED and not unlike:
+        return ""
+    other = f": the effects above, {', '.join(unlike)}" if unlike else ""
+    return f" It has the likeliest of many sets (probability {probability:.2g}){other}."
 
 
 def _unlike(predictions: Mapping[str, Prediction]) -> Iterator[str]:

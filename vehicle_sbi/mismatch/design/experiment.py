@@ -23,6 +23,7 @@ from vehicle_sbi.inference.directions import null
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.estimation.fit import Fit, Metric, linearise
 from vehicle_sbi.mismatch.estimation.model import Model
+from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, ONCOMING
 from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS, MEASUREMENTS
@@ -164,6 +165,17 @@ def _unrecorded(simulator: Simulator) -> list[str]:
     return [name for name in predicted if name not in (*simulator.windows.channels, *NEEDED[simulator.drive])]
 
 
+def _fitted_too(held_out: Observation) -> Change:
+    """Recordings that exist and were held out."""
+    there = held_out.simulator
+
+    def change(simulator: Simulator) -> Simulator:
+        noise = replace(simulator.noise, window=there.windows.t.shape[1])
+        return replace(there, space=simulator.space, noise=noise)
+
+    return change
+
+
 def menu(simulator: Simulator) -> dict[str, Change]:
     """Recordings that could be made beside those behind a simulator: drives, and the same one with another sensor."""
     drives = STEERED if simulator.drive == "torque" else MENU
@@ -205,14 +217,20 @@ def _passed(p: Parameter) -> bool:
     return f"{p.name.split('.')[0]}.start" in EFFECT_PARAMETERS
 
 
-def advice(a: Model, b: Model) -> str:
+def advice(a: Model, b: Model, held_out: Observation | None = None) -> str:
     """Which further recording would separate them, or that none of the menu would, in a sentence.
 
-    Another sensor is asked for only where no drive is worth it.
+    A new drive is asked for only where one that was held out is not worth fitting, another sensor only where no drive
+    is worth it.
     """
-    ranked = separations(a, b)
     ours, theirs = ([name for name in one.effects if name not in other.effects] for one, other in ((a, b), (b, a)))
     pair = f"{' with '.join(ours or a.effects)} from {' with '.join(theirs or b.effects)}"
+    if held_out and (apart := separation(a.fit, b.fit, _fitted_too(held_out))) >= WORTH:
+        return (
+            f"To tell {pair}, fit what was held out too, and hold out another drive: they would differ by {apart:.0f} "
+            "standard deviations."
+        )
+    ranked = separations(a, b)
     if not ranked or ranked[0].separation < HIDDEN:
         most = f": they would differ by {ranked[0].separation:.1f} standard deviations at most" if ranked else ""
         return f"None of the drives and sensors that were tried would tell {pair}{most}."

@@ -17,13 +17,15 @@ sum_i [ - 1/2 log(1 + d e_i) - 1/2 d u_i^2 / (1 + d e_i) ] + q/2 log(ratio of pr
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vehicle_sbi.compiled import compiled_apart
+from vehicle_sbi.compiled import compiled_apart, compiled_beside
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
 from vehicle_sbi.mismatch.selection.inverse import LEAST, factorised, rounded, set_precision
 from vehicle_sbi.mismatch.selection.likeness import likeness
@@ -159,15 +161,20 @@ def sample(
     chain: Chain,
     rng: np.random.Generator,
 ) -> Sampled:
-    """Draws from the posterior over states and coefficients; chains start with all groups in and with none, in turn."""
+    """Draws from the posterior over states and coefficients; chains start with all groups in and with none, in turn,
+    and run beside each other on as many threads as simulations do."""
     believed = _Believed.of(groups)
     alike, odds = likeness(H, groups.start, groups.stop), groups.rate / (1.0 - groups.rate)
     factors = np.array(shared.missing), np.array(shared.discrepant)
     counts = chain.sweeps, chain.forgotten, chain.every
-    found = []
-    for k in range(chain.chains):
-        begin = np.full(len(groups.stop), k % 2, dtype=np.int64)
-        found.append(_run(H, b, believed, alike, odds, factors, begin, counts, int(rng.integers(2**31))))
+
+    def run(begin: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return _run(H, b, believed, alike, odds, factors, begin, counts, seed)
+
+    begins = [np.full(len(groups.stop), k % 2, dtype=np.int64) for k in range(chain.chains)]
+    seeds = [int(rng.integers(2**31)) for _ in begins]
+    with ThreadPoolExecutor(min(chain.chains, numba.get_num_threads())) as threads:
+        found = [*threads.map(run, begins, seeds)]
     return Sampled(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
@@ -317,7 +324,7 @@ def _started(H, b, believed, begin):
     return _State(begin.copy(), precision, S, m, slab)
 
 
-@compiled_apart
+@compiled_beside
 def _run(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
     """One chain; levels, coefficients and their means of every so many sweeps."""
     np.random.seed(seed)

@@ -53,8 +53,8 @@ GROUPS = {group: f"sensors of the mapping's group {group}" for group in ("can", 
 BAND = {"band": "its 90 % band"}
 PARAMETERS = {"base": "base model alone", "extended": "averaged over what may be missing"}
 OF_CURVES = (
-    "Where only the extended model meets the recorded signal, something was missing. Gaps were held out, or lie beside "
-    "what was."
+    "Where only the extended model meets the recorded signal, something was missing. Gaps were held out, lie beside "
+    "what was, or are readings left out (see the notes)."
 )
 OF_BASE_ALONE = "Recorded signals over those of the base model, to which nothing had to be added."
 OF_BARS = (
@@ -68,7 +68,10 @@ OF_SCORES = (
     "Log score in nats a sample, higher is better. NRMSE: root-mean-square error over the signal's standard deviation. "
     "CRPS (continuous ranked probability score) in each channel's unit. Both are better when lower."
 )
-OF_PLACES = "p: how often noise alone would differ as much anywhere. Share: of the score of all rows."
+OF_PLACES = (
+    "p: how often noise alone would score as high in any place; that of the first line is of all tests together. "
+    "Share: of the score of all rows."
+)
 OF_EFFECTS = (
     "Probability that an effect is missing, before the recordings and after, whatever else is missing. Sizes are mean "
     "± one standard deviation, where it is missing. Any number of effects may be missing at once, beside "
@@ -106,7 +109,7 @@ def page_of(case: Case, found: Found, answer: Verdict) -> Page:
             Section(heading="Base parameters", parts=[Table(_base(answer))]),
             Section(
                 heading="What these recordings could have shown",
-                parts=[Table(could_show(found.seen), LEGEND), Words(hidden(found.seen))],
+                parts=[Table(could_show(found.seen, beside=answer.effects), LEGEND), Words(hidden(found.seen))],
             ),
             *_notes(answer),
         ],
@@ -270,7 +273,7 @@ def _unknown(answer: Verdict) -> Part:
 
 def _where(answer: Verdict, found: Found) -> Part:
     if not answer.mismatch:
-        return Words([f"They differ {as_a_whole(answer)}." if answer.detected else "Nowhere beyond noise."])
+        return Words([as_a_whole(answer) if answer.detected else "Nowhere beyond noise."])
     frame = pd.DataFrame(
         {
             "channel": [p.channel for p in answer.mismatch],
