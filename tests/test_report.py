@@ -353,6 +353,15 @@ def test_a_picture_leaves_no_style_and_no_open_figure_behind(tmp_path: Path) -> 
     assert plt.get_fignums() == []
 
 
+def test_of_many_parameters_a_picture_of_pairs_has_the_constants_and_what_is_most_correlated() -> None:
+    effects = tuple(Parameter(name=f"effect.{k}", unit="1", low=-9.0, high=9.0, fields=()) for k in range(14))
+    space = ParameterSpace((*effects, *SPACE.parameters[:2]))
+    free = np.random.default_rng(0).standard_normal((500, 16))
+    free[:, 7:14] = 0.9 * free[:, [0]] + 0.1 * free[:, 7:14]
+    assert figures._most_correlated(free, space) == [0, *range(7, 14), 14, 15]
+    assert figures._most_correlated(free[:, :3], ParameterSpace(effects[:3])) == [0, 1, 2]
+
+
 def test_a_posterior_without_width_can_be_drawn(tmp_path: Path) -> None:
     figures.pairplot(np.full((50, 2), (1.2, 0.3)), ParameterSpace(SPACE.parameters[:2]), None, tmp_path / "figure.png")
     assert (tmp_path / "figure.png").exists()

@@ -46,6 +46,7 @@ STYLE: dict[Any, Any] = {
 DPI = 150
 Span = tuple[float, float]  # limits of an axis
 Shown = tuple[Parameter, Span, float]  # a parameter, the limits of its axis, its truth (NaN where it is not known)
+MOST_IN_PAIRS = 10  # parameters beside each other that a screen can show
 KDE_SAMPLES = 1000  # a density on a screen needs no more, and its cost grows with them
 PRIOR_EDGE: dict[str, Any] = {"color": "#999999", "linewidth": 0.9, "linestyle": "--"}
 NO_ANSWER = "#b5b5b5"
@@ -85,10 +86,13 @@ def pairplot(
     """Marginals on the diagonal, filled contours below it, correlations above it, the truth in red.
 
     An axis spans the prior unless the posterior is so narrow that it would vanish: then it spans the posterior, and a
-    strip on the diagonal shows which part of the prior that is.
+    strip on the diagonal shows which part of the prior that is. Of many parameters the vehicle's constants are shown,
+    and those of effects that are correlated most with any other.
     """
-    d = len(space)
-    truth = np.full(d, np.nan) if true is None else np.asarray(true, dtype=float)
+    shown, every = _most_correlated(samples, space), len(space)
+    samples, space = samples[:, shown], ParameterSpace(tuple(space.parameters[k] for k in shown))
+    d, truth = len(shown), np.full(every, np.nan) if true is None else np.asarray(true, dtype=float)
+    truth = truth[shown]
     thinned = pd.DataFrame(samples[:: max(1, len(samples) // KDE_SAMPLES)], columns=list(space.names))
     spans = [_span(*column) for column in zip(samples.T, space.low, space.high, truth, strict=True)]
     at = dict(zip(space.names, zip(space.parameters, spans, truth, strict=True), strict=True))
@@ -106,8 +110,19 @@ def pairplot(
             *([key("true value", TRUTH, marker="o", markersize=4.5)] if true is not None else []),
             key("prior", **PRIOR_EDGE),
             *([Patch(color=POSTERIOR, label="part of the prior shown")] if zoomed else []),
+            *([key(f"{d} of {every} parameters, the most correlated", "none")] if d < every else []),
         ]
         save(grid.figure, path, keys, columns=len(keys) if d > 4 else 2)
+
+
+def _most_correlated(samples: Float[np.ndarray, "n d"], space: ParameterSpace) -> list[int]:
+    """Columns of all parameters, or of MOST_IN_PAIRS: the vehicle's constants before those of effects, the most
+    correlated with any other first."""
+    if len(space) <= MOST_IN_PAIRS:
+        return [*range(len(space))]
+    related = np.nan_to_num(np.abs(np.corrcoef(samples, rowvar=False)) - np.eye(len(space)))
+    of_effect = np.array(["." in name for name in space.names])
+    return sorted(np.lexsort((-related.max(axis=0), of_effect))[:MOST_IN_PAIRS].tolist())
 
 
 def _span(x: Float[np.ndarray, " n"], low: float, high: float, true: float) -> Span:
