@@ -18,6 +18,7 @@ from vehicle_sbi.mismatch.design.experiment import (
     MENU,
     WORTH,
     Experiment,
+    _fitted_too,
     advice,
     menu,
     separation,
@@ -253,6 +254,25 @@ def test_a_drive_that_is_worth_it_comes_before_a_sensor(
     monkeypatch.setattr(experiment, "separations", lambda a, b: found)
     model: Any = SimpleNamespace(effects=("roll",))
     assert [words for words in (WALKING, "a sensor", "None") if words in advice(model, model)] == [named]
+
+
+def test_recordings_that_were_held_out_separate_as_a_drive_like_theirs_would(gains: tuple[Model, Model]) -> None:
+    a, b = (one.fit for one in gains)
+    mirrored = MIRRORED(a.simulator)
+    held_out = Observation(mirrored, mirrored.windows.y, False)
+    assert separation(a, b, _fitted_too(held_out)) == pytest.approx(separation(a, b, MIRRORED), rel=1e-9)
+
+
+@pytest.mark.parametrize(("apart", "enough"), [(WORTH, True), (WORTH - 0.1, False), (np.nan, False)])
+def test_what_was_held_out_comes_before_another_drive(
+    monkeypatch: pytest.MonkeyPatch, apart: float, enough: bool
+) -> None:
+    monkeypatch.setattr(experiment, "separations", lambda a, b: [Experiment(WALKING, 9.0)])
+    monkeypatch.setattr(experiment, "separation", lambda a, b, change: apart)
+    here = lateral()
+    model: Any = SimpleNamespace(effects=("roll",), fit=None)
+    said = advice(model, model, Observation(here, here.windows.y, False))
+    assert ("fit what was held out too" in said, WALKING in said) == (enough, not enough)
 
 
 def test_a_slower_drive_is_integrated_in_finer_steps() -> None:

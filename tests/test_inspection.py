@@ -181,6 +181,15 @@ def test_what_looks_wrong_is_said_and_not_mended(tmp_path: Path) -> None:
     assert "sign" not in yaml.safe_load(write(found, tmp_path)[0].read_text())["a_y"]
 
 
+def test_what_reading_leaves_out_is_said(tmp_path: Path) -> None:
+    x = drive()
+    a_y = x["a_y"].copy()
+    a_y[700] += 50.0 * np.abs(np.diff(a_y)).max()
+    found = inspect(csv(tmp_path / "a.csv", {"time_s": np.arange(2000) / RATE, **x, "a_y": a_y}))
+    said = spoken(found).partition("what was changed in reading\n")[2].partition("\n\n")[0]
+    assert f"a_y: 1 single-sample spikes left out at {700 / RATE:.2f} s" in said
+
+
 def test_a_given_mapping_is_checked_instead_of_a_guess(tmp_path: Path) -> None:
     x = drive()
     path = csv(
@@ -221,7 +230,7 @@ def test_the_vehicle_file_fails_until_it_is_edited(tmp_path: Path) -> None:
         read_vehicle(str(path))
     text = path.read_text().replace('m: "a number, or null"', "m: 1500").replace('"a number, or null"', "null")
     path.write_text(text)
-    with pytest.raises(InputError, match=r"drive_front = '1 front, 0 rear, between if both'; a number has to stand there"):
+    with pytest.raises(InputError, match=r"drive_front = '1 front, 0 rear, between if both'; a number has"):
         read_vehicle(str(path))
     text = text.replace('"1 front, 0 rear, between if both"', "0")
     path.write_text(text)

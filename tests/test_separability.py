@@ -13,6 +13,7 @@ from vehicle_sbi.mismatch.design.identifiability import SEEN, Card, card
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE
 from vehicle_sbi.physics.single_track import INPUTS
+from vehicle_sbi.report.card import could_show
 
 MIDDLE = np.array([1.25])
 
@@ -147,3 +148,11 @@ def test_each_effect_of_the_catalogue_could_show_or_could_not_or_is_fitted() -> 
     assert shares == sorted(shares)
     assert shares[-1] <= 1.0
     assert shown["gyro_bias"].parameter.name == "gyro_bias.z"
+
+
+def test_an_effect_that_shows_beside_others_alone_is_not_said_to_be_hidden() -> None:
+    found = card(lateral(), np.array([1.25]))
+    name = found.invisible()[0]
+    rows = could_show(found, beside=[name]).set_index("effect")["visible"]
+    assert {rows[row] for row in rows.index if row.split(".")[0] == name} == {"beside others"}
+    assert set(rows) == {"yes", "no", "beside others"}

@@ -17,9 +17,10 @@ from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Score
 from vehicle_sbi.inference.rounds import Truncated
 from vehicle_sbi.inference.training import Training
-from vehicle_sbi.mismatch.answer.verdict import Found, _parameters, _share_explained, _unknown
+from vehicle_sbi.mismatch.answer.verdict import Found, _cut, _parameters, _share_explained, _unknown
 from vehicle_sbi.mismatch.answer.wording import NAMED, _limits, _sizes, headline
 from vehicle_sbi.mismatch.design.identifiability import card
+from vehicle_sbi.mismatch.estimation.estimate import Estimate
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import FitCheck
 from vehicle_sbi.mismatch.estimation.model import Model
@@ -29,6 +30,7 @@ from vehicle_sbi.mismatch.selection.extended import alternatives, extended, with
 from vehicle_sbi.mismatch.selection.inclusion import Chain
 from vehicle_sbi.mismatch.selection.pruned import Pruned
 from vehicle_sbi.mismatch.selection.reinfer import Reinference
+from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE
 
 SHORT = Budget(rounds=1, pooled=1, last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
@@ -170,10 +172,22 @@ def test_a_headline_has_at_most_25_words_however_many_names_there_are() -> None:
         assert said.endswith("something unknown (0.97).") == (p_unknown > NAMED)
 
 
+@pytest.mark.parametrize(
+    ("mean", "std", "limit"),
+    [(0.5, 0.1, ""), (0.15, 0.1, "limit of 0 m"), (0.85, 0.1, "limit of 1 m"), (0.4, 0.25, "")],
+)
+def test_a_limit_that_cuts_an_interval_is_said_of_what_is_told_at_all(mean: float, std: float, limit: str) -> None:
+    p = Parameter(name="l_f", unit="m", low=0.0, high=1.0, fields=("l_f",))
+    pruned: Any = SimpleNamespace(expansion=SimpleNamespace(base=(p,)))
+    said = _cut(pruned, {"l_f": Estimate(mean, std, mean - std, mean + std, "m")})
+    assert [limit in line for line in said] == [True] * bool(limit)
+
+
 def test_a_mismatch_that_stands_out_nowhere_is_said_to_be_one_as_a_whole(base: Fit) -> None:
     answer: Any = SimpleNamespace(
-        mismatch=[], p_value=0.008, explanations=[], effects={}, headline="", indistinguishable=[], p_indistinguishable=[]
-    )
+        mismatch=[], p_value=0.008, explanations=[], effects={}, headline="", indistinguishable=[],
+        p_indistinguishable=[],
+    )  # fmt: skip
     assert _sizes(answer, base.simulator).startswith("They differ (p = 0.008), but no single stretch")
 
 

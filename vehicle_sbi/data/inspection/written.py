@@ -69,7 +69,7 @@ def mapping_text(inspection: Inspection) -> str:
             f"# Which column of {inspection.path.name} holds which channel, as its names suggest: check each line.",
             "# value = sign (scale unit(column) + offset), the offset in SI; group: imu, can or wheel_speed.",
             "# Signs are ISO 8855: x forward, y left, z up. In a left turn steering, yaw rate and a_y are positive;",
-            "# sign: -1 turns a channel that is not. Look at one turn: a drive mirrored in all three passes every check.",
+            "# sign: -1 turns a channel that is not. Look at one turn: mirrored in all three it passes every check.",
             *map(_line, inspection.guesses),
             *(f'# {name}: {{column: "its column", unit: {unit}}}' for name, unit in EXAMPLES.items() if name in absent),
             f"# not recognised: {', '.join(absent)}",

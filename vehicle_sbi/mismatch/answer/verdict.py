@@ -44,6 +44,7 @@ LEAST = 0.05  # probability from which one that is not is listed
 CORNERED = 2  # base parameters on rims, from which the fit is said to be in a corner
 MISFIT = 2.0  # times the sensor's own noise, from which what is left over is worth a warning
 CUT = 2.0  # standard deviations, within which a limit of its prior cuts a parameter's interval
+UNTOLD = 0.7  # of its prior's standard deviation, from which a parameter is as good as not told
 STUCK = 0.2  # share of the draws beyond a parameter's box, from which it would leave it
 
 
@@ -235,11 +236,13 @@ def _warnings(found: Found) -> list[str]:
 
 def _cut(pruned: Pruned | None, after: Mapping[str, Estimate]) -> list[str]:
     """Base parameters whose interval, with what is missing averaged over, ends at a limit of their prior."""
+    told = [(p, after[p.name]) for p in (pruned.expansion.base if pruned else ())]
+    told = [(p, one) for p, one in told if one.std < UNTOLD * (p.high - p.low) / np.sqrt(12.0)]
     return [
         f"{p.name}: with what is missing averaged over, its prior's limit of {_nearer(p, one.mean)} cuts its interval; "
         "a wider prior may move it."
-        for p in (pruned.expansion.base if pruned else ())
-        if min((one := after[p.name]).mean - p.low, p.high - one.mean) < CUT * one.std
+        for p, one in told
+        if min(one.mean - p.low, p.high - one.mean) < CUT * one.std
     ]
 
 

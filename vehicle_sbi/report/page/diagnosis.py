@@ -53,8 +53,8 @@ GROUPS = {group: f"sensors of the mapping's group {group}" for group in ("can", 
 BAND = {"band": "its 90 % band"}
 PARAMETERS = {"base": "base model alone", "extended": "averaged over what may be missing"}
 OF_CURVES = (
-    "Where only the extended model meets the recorded signal, something was missing. Gaps were held out, lie beside "
-    "what was, or are readings left out (see the notes)."
+    "Where only the extended model meets the recorded signal, something was missing. Gaps: held out, beside it, "
+    "or left out of the recording (notes)."
 )
 OF_BASE_ALONE = "Recorded signals over those of the base model, to which nothing had to be added."
 OF_BARS = (
