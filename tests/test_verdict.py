@@ -31,7 +31,7 @@ from vehicle_sbi.mismatch.selection.inclusion import Chain
 from vehicle_sbi.mismatch.selection.pruned import Pruned
 from vehicle_sbi.mismatch.selection.reinfer import Reinference
 from vehicle_sbi.parameters import Parameter
-from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 
 SHORT = Budget(rounds=1, pooled=1, last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
 EFFECTS = ("body_roll", "accelerometer_scale", "gyro_bias", "imu_lever_arm")
@@ -174,13 +174,16 @@ def test_a_headline_has_at_most_25_words_however_many_names_there_are() -> None:
 
 @pytest.mark.parametrize(
     ("mean", "std", "limit"),
-    [(0.5, 0.1, ""), (0.15, 0.1, "limit of 0 m"), (0.85, 0.1, "limit of 1 m"), (0.4, 0.25, "")],
+    [(0.5, 0.1, ""), (0.15, 0.1, "l_f (0 m)"), (0.85, 0.1, "l_f (1 m)"), (0.4, 0.25, "")],
 )
 def test_a_limit_that_cuts_an_interval_is_said_of_what_is_told_at_all(mean: float, std: float, limit: str) -> None:
     p = Parameter(name="l_f", unit="m", low=0.0, high=1.0, fields=("l_f",))
     pruned: Any = SimpleNamespace(expansion=SimpleNamespace(base=(p,)))
     said = _cut(pruned, {"l_f": Estimate(mean, std, mean - std, mean + std, "m")})
     assert [limit in line for line in said] == [True] * bool(limit)
+    late = EFFECT_PARAMETERS["sensor_delay.imu"]  # beyond whose lower limit there is nothing
+    pruned.expansion.base = (late,)
+    assert _cut(pruned, {late.name: Estimate(0.01, 0.01, 0.0, 0.03, "s")}) == []
 
 
 def test_a_mismatch_that_stands_out_nowhere_is_said_to_be_one_as_a_whole(base: Fit) -> None:

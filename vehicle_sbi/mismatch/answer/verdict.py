@@ -36,6 +36,7 @@ from vehicle_sbi.mismatch.selection.predictive import Gain, Prediction
 from vehicle_sbi.mismatch.selection.pruned import Pruned
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.words import enumerated
 
 SCHEMA = 2
 LISTED = 40  # sets of effects at most
@@ -44,7 +45,7 @@ LEAST = 0.05  # probability from which one that is not is listed
 CORNERED = 2  # base parameters on rims, from which the fit is said to be in a corner
 MISFIT = 2.0  # times the sensor's own noise, from which what is left over is worth a warning
 CUT = 2.0  # standard deviations, within which a limit of its prior cuts a parameter's interval
-UNTOLD = 0.7  # of its prior's standard deviation, from which a parameter is as good as not told
+UNTOLD = 0.5  # of its prior's standard deviation, from which a parameter is as good as not told
 STUCK = 0.2  # share of the draws beyond a parameter's box, from which it would leave it
 
 
@@ -235,14 +236,19 @@ def _warnings(found: Found) -> list[str]:
 
 
 def _cut(pruned: Pruned | None, after: Mapping[str, Estimate]) -> list[str]:
-    """Base parameters whose interval, with what is missing averaged over, ends at a limit of their prior."""
-    told = [(p, after[p.name]) for p in (pruned.expansion.base if pruned else ())]
-    told = [(p, one) for p, one in told if one.std < UNTOLD * (p.high - p.low) / np.sqrt(12.0)]
+    """Base parameters whose interval, with what is missing averaged over, ends at a limit of their prior that is not
+    their null, beyond which there is nothing."""
+    cut = list[str]()
+    for p in pruned.expansion.base if pruned else ():
+        one, spread = after[p.name], (p.high - p.low) / np.sqrt(12.0)
+        off, limit = min((abs(one.mean - end), end) for end in (p.low, p.high))
+        if off < CUT * one.std < CUT * UNTOLD * spread and limit != p.null:
+            cut.append(f"{p.name} ({_nearer(p, one.mean)})")
+    if not cut:
+        return []
     return [
-        f"{p.name}: with what is missing averaged over, its prior's limit of {_nearer(p, one.mean)} cuts its interval; "
-        "a wider prior may move it."
-        for p, one in told
-        if min(one.mean - p.low, p.high - one.mean) < CUT * one.std
+        f"With what is missing averaged over, limits of priors cut the intervals of {enumerated(cut)}: wider ones may "
+        "move them."
     ]
 
 
