@@ -139,8 +139,8 @@ class Verdict:
     `share_explained`: what the likeliest set explains of the misfit; `indistinguishable`: groups of effects that stand
     for each other, `p_indistinguishable`: how probable it is that any of each is missing; `could_show` and `invisible`:
     which the recordings would have shown with a power of 80 %, and which they could not, beside others either;
-    `cannot_act`: which change nothing here whatever their size, and why; `unsupported`: effects that may as well not be missing, the likeliest
-    first; `warnings`: those of the notes that say why the base model's fit may not be relied on.
+    `cannot_act`: which change nothing here whatever their size, and why; `unsupported`: effects that may as well not be
+    missing, the likeliest first; `warnings`: those of the notes that say why the fit may not be relied on.
     """
 
     schema: int
