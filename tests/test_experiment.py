@@ -18,10 +18,10 @@ from vehicle_sbi.mismatch.design.experiment import (
     MENU,
     WORTH,
     Experiment,
-    _fitted_too,
     advice,
     menu,
     separation,
+    separation_in,
     separations,
 )
 from vehicle_sbi.mismatch.estimation.fit import linearise
@@ -260,7 +260,7 @@ def test_recordings_that_were_held_out_separate_as_a_drive_like_theirs_would(gai
     a, b = (one.fit for one in gains)
     mirrored = MIRRORED(a.simulator)
     held_out = Observation(mirrored, mirrored.windows.y, False)
-    assert separation(a, b, _fitted_too(held_out)) == pytest.approx(separation(a, b, MIRRORED), rel=1e-9)
+    assert separation_in(a, b, held_out) == pytest.approx(separation(a, b, MIRRORED), rel=1e-9)
 
 
 @pytest.mark.parametrize(("apart", "enough"), [(WORTH, True), (WORTH - 0.1, False), (np.nan, False)])
@@ -268,7 +268,7 @@ def test_what_was_held_out_comes_before_another_drive(
     monkeypatch: pytest.MonkeyPatch, apart: float, enough: bool
 ) -> None:
     monkeypatch.setattr(experiment, "separations", lambda a, b: [Experiment(WALKING, 9.0)])
-    monkeypatch.setattr(experiment, "separation", lambda a, b, change: apart)
+    monkeypatch.setattr(experiment, "separation_in", lambda a, b, held_out: apart)
     here = lateral()
     model: Any = SimpleNamespace(effects=("roll",), fit=None)
     said = advice(model, model, Observation(here, here.windows.y, False))

@@ -2,6 +2,7 @@
 
 import itertools
 
+import numba
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -181,3 +182,14 @@ def test_groups_are_as_alike_as_the_mean_squared_cosine_beside_what_is_always_th
     exact = [[1.0, square, 1.0, other], [square, 1.0, square, other], [1.0, square, 1.0, other]]
     assert found[:3] == pytest.approx(np.array(exact), abs=1e-6)  # 1e-8 of the first column's length stays in others
     assert found[3, :3] == pytest.approx(other)
+
+
+def test_draws_are_the_same_on_however_many_threads_chains_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    H, b, groups = problem(signed=True)
+    few, found = Chain(chains=3, sweeps=20, forgotten=10, every=1), []
+    for threads in (1, 3):
+        monkeypatch.setattr(numba, "get_num_threads", lambda threads=threads: threads)
+        found.append(sample(H, b, groups, SHARED, few, np.random.default_rng(0)))
+    np.testing.assert_array_equal(found[0].coefficient, found[1].coefficient)
+    chains = np.split(found[0].coefficient, few.chains)
+    assert not np.array_equal(chains[0], chains[2])  # which begin alike, with seeds of their own

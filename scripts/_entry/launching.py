@@ -61,7 +61,7 @@ def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
 
 
 def _job(task: Task, traceback_wanted: bool) -> Task:
-    """The task with its construction checked first, a Failure for a wrong value, and no empty folders left behind."""
+    """The task with its construction checked first, a Failure for a wrong value, and no empty folder left behind."""
     script_pid = os.getpid()  # a job of a parallel sweep runs in another process
 
     @functools.wraps(task)
@@ -75,10 +75,8 @@ def _job(task: Task, traceback_wanted: bool) -> Task:
                 raise
             return Failure(_in_sweep() + line, script_pid)
         finally:
-            folder = Path(HydraConfig.get().runtime.output_dir)
-            with suppress(OSError):  # one of them holds something
-                folder.rmdir()
-                folder.parent.rmdir()
+            with suppress(OSError):  # it holds something
+                Path(HydraConfig.get().runtime.output_dir).rmdir()
 
     return job
 

@@ -90,9 +90,9 @@ def pairplot(
     and those of effects that are correlated most with any other.
     """
     shown, every = _most_correlated(samples, space), len(space)
+    truth = (np.full(every, np.nan) if true is None else np.asarray(true, dtype=float))[shown]
     samples, space = samples[:, shown], ParameterSpace(tuple(space.parameters[k] for k in shown))
-    d, truth = len(shown), np.full(every, np.nan) if true is None else np.asarray(true, dtype=float)
-    truth = truth[shown]
+    d = len(space)
     thinned = pd.DataFrame(samples[:: max(1, len(samples) // KDE_SAMPLES)], columns=list(space.names))
     spans = [_span(*column) for column in zip(samples.T, space.low, space.high, truth, strict=True)]
     at = dict(zip(space.names, zip(space.parameters, spans, truth, strict=True), strict=True))
@@ -110,7 +110,11 @@ def pairplot(
             *([key("true value", TRUTH, marker="o", markersize=4.5)] if true is not None else []),
             key("prior", **PRIOR_EDGE),
             *([Patch(color=POSTERIOR, label="part of the prior shown")] if zoomed else []),
-            *([key(f"{d} of {every} parameters, the most correlated", "none")] if d < every else []),
+            *(
+                [key(f"{d} of {every} parameters: constants, and the most correlated of effects", "none")]
+                if d < every
+                else []
+            ),
         ]
         save(grid.figure, path, keys, columns=len(keys) if d > 4 else 2)
 

@@ -242,7 +242,8 @@ def _cut(pruned: Pruned | None, after: Mapping[str, Estimate]) -> list[str]:
     for p in pruned.expansion.base if pruned else ():
         one, spread = after[p.name], (p.high - p.low) / np.sqrt(12.0)
         off, limit = min((abs(one.mean - end), end) for end in (p.low, p.high))
-        if off < CUT * one.std < CUT * UNTOLD * spread and limit != p.null:
+        told, near = one.std < UNTOLD * spread, off < CUT * one.std
+        if told and near and limit != p.null:
             cut.append(f"{p.name} ({_nearer(p, one.mean)})")
     if not cut:
         return []

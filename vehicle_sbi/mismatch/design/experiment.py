@@ -21,7 +21,8 @@ from vehicle_sbi.data.channels import CHANNELS, NEEDED
 from vehicle_sbi.data.noise import MeasurementNoise
 from vehicle_sbi.inference.directions import null
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.mismatch.estimation.fit import Fit, Metric, linearise
+from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
+from vehicle_sbi.mismatch.estimation.fit import Fit, Linear, Metric, linearise
 from vehicle_sbi.mismatch.estimation.model import Model
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter, ParameterSpace
@@ -165,17 +166,6 @@ def _unrecorded(simulator: Simulator) -> list[str]:
     return [name for name in predicted if name not in (*simulator.windows.channels, *NEEDED[simulator.drive])]
 
 
-def _fitted_too(held_out: Observation) -> Change:
-    """Recordings that exist and were held out."""
-    there = held_out.simulator
-
-    def change(simulator: Simulator) -> Simulator:
-        noise = replace(simulator.noise, window=there.windows.t.shape[1])
-        return replace(there, space=simulator.space, noise=noise)
-
-    return change
-
-
 def menu(simulator: Simulator) -> dict[str, Change]:
     """Recordings that could be made beside those behind a simulator: drives, and the same one with another sensor."""
     drives = STEERED if simulator.drive == "torque" else MENU
@@ -195,13 +185,23 @@ def separation(a: Fit, b: Fit, change: Change) -> float:
     """
     there = [change(fit.simulator) for fit in (a, b)]
     at_a = linearise(there[0], _later(a))
-    at_b = linearise(there[1], _later(b), at_a.J_x)
+    return _apart((a, b), there[0], at_a, linearise(there[1], _later(b), at_a.J_x))
+
+
+def separation_in(a: Fit, b: Fit, held_out: Observation) -> float:
+    """The same in recordings that exist and were held out, in which what is tied to the clock did not happen."""
+    there = [elsewhere(fit, held_out, apart=True) for fit in (a, b)]
+    return _apart((a, b), there[0].simulator, *(fit.at for fit in there))
+
+
+def _apart(fits: tuple[Fit, Fit], there: Simulator, at_a: Linear, at_b: Linear) -> float:
+    """The separation, from both models in a further recording."""
     if not all(np.isfinite(series).all() for at in (at_a, at_b) for series in (at.y, at.J)):
         return float("nan")
-    metric = Metric.of(there[0], at_a)
+    metric = Metric.of(there, at_a)
     d = metric(at_b.y - at_a.y).reshape(-1)
     J: Float[np.ndarray, "p samples"] = metric(np.concatenate([at_a.J, -at_b.J])).reshape(-1, d.size)
-    known = block_diag(*(fit.information + np.eye(len(fit.theta)) for fit in (a, b)))
+    known = block_diag(*(fit.information + np.eye(len(fit.theta)) for fit in fits))
     score = J @ d
     return float(np.sqrt(max(d @ d - score @ np.linalg.solve(known + J @ J.T, score), 0.0)))
 
@@ -225,7 +225,7 @@ def advice(a: Model, b: Model, held_out: Observation | None = None) -> str:
     """
     ours, theirs = ([name for name in one.effects if name not in other.effects] for one, other in ((a, b), (b, a)))
     pair = f"{' with '.join(ours or a.effects)} from {' with '.join(theirs or b.effects)}"
-    if held_out and (apart := separation(a.fit, b.fit, _fitted_too(held_out))) >= WORTH:
+    if held_out and (apart := separation_in(a.fit, b.fit, held_out)) >= WORTH:
         return (
             f"To tell {pair}, fit what was held out too, and hold out another drive: they would differ by {apart:.0f} "
             "standard deviations."
