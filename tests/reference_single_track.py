@@ -152,16 +152,18 @@ def tyre(
     stiffer = max(1.0 + c["load_sensitivity_coefficient"] * (F_z - static) / static, 0.05)
     C_kappa = C[0] * stiffer
     C_alpha = C[1] * stiffer * max(1.0 - c["lateral_load_transfer_coefficient"] * a_y**2, 0.05)
-    F = np.array(dugoff(C_kappa, C_alpha, mu, F_z, kappa, alpha))
-    grip, demand = mu * max(F_z, 0.0), np.array([C_kappa * kappa, C_alpha * math.tan(alpha)])
-    size = float(np.hypot(*demand))
+    forces, grip = dugoff(C_kappa, C_alpha, mu, F_z, kappa, alpha), mu * max(F_z, 0.0)
+    demands, peaks = (C_kappa * kappa, C_alpha * math.tan(alpha)), (c["tyre_curve_longitudinal"], c["tyre_curve_peak"])
+    size = math.hypot(*demands)
     if size == 0.0 or grip == 0.0:
-        return float(F[0]), float(F[1])
-    z = size / grip
-    peak, full = np.array([c["tyre_curve_longitudinal"], c["tyre_curve_peak"]]), c["tyre_curve_fullness"]
-    along = grip * demand / size
-    F = F + peak * (math.sin(1.5 * math.atan(z / 1.5)) * along - F) + full * (full_curve(z) * along - F)
-    return float(F[0]), float(F[1])
+        return forces
+    z, full = size / grip, c["tyre_curve_fullness"]
+    peaked, filled = math.sin(1.5 * math.atan(z / 1.5)) * grip / size, full_curve(z) * grip / size
+    F_x, F_y = (
+        F + peak * (peaked * demand - F) + full * (filled * demand - F)
+        for F, demand, peak in zip(forces, demands, peaks, strict=True)
+    )
+    return F_x, F_y
 
 
 def full_curve(z: float) -> float:
@@ -198,14 +200,14 @@ def implied_pulls(
     c: Car, now: Moment, v_x: float, delta: float, a_x: float, side: Callable[[float], float]
 ) -> tuple[float, float]:
     """Longitudinal forces of the axles [N] in their wheels' directions that an acceleration implies, with the front
-    one's side force [N], a function of its longitudinal one; that axle's is solved for by plain iteration."""
+    one's side force [N], a function of its longitudinal one; that axle's is iterated until it moves by 1e-10 N."""
     front = total = 0.0
     for _ in range(200):
         total = mass(c) * a_x + side(front) * math.sin(delta) - outer_forces(c, now, v_x)[0]
         share = c["drive_front"] if total > 0.0 else np.clip(c["brake_front"] + c["brake_balance_shift"], 0.0, 1.0)
         total /= share * math.cos(delta) + 1.0 - share
         front, before = float(share * total), front
-        if front == before:
+        if abs(front - before) < 1e-10:
             break
     return front, float(total - front)
 

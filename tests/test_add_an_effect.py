@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
 
@@ -19,6 +21,7 @@ def applied(text: str, change: str) -> str:
     return text.replace(old, new)
 
 
+@pytest.mark.slow  # everything is compiled anew
 def test_the_page_s_example_passes_the_contract(tmp_path: Path) -> None:
     for name in ("vehicle_sbi", "tests", "conf"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from cars import PAPER
 from studies import manoeuvre, simulator
+from test_formats import logger_text
 
 from vehicle_sbi import diagnose, identify, read, simulate
 from vehicle_sbi.api import Diagnosed, Identified
@@ -71,6 +72,7 @@ def diagnosed(**found: Any) -> Diagnosed:
     verdict: Any = SimpleNamespace(
         headline="Missing: a < b (0.90).",
         lines=["One line."],
+        warnings=["a_y < b_y."],
         effects={"a<b": 0.9, "other": 0.1},
         base_parameters={"l_f": {"before": before, "after": after, "unit": "m"}},
     )
@@ -86,12 +88,31 @@ def test_parameters_of_a_diagnosis_are_a_table_before_and_after() -> None:
 
 def test_a_diagnosis_is_shown_as_text_and_as_escaped_tables() -> None:
     found = diagnosed()
-    assert repr(found) == str(found) == "Missing: a < b (0.90).\nOne line."
+    assert repr(found) == str(found) == "Missing: a < b (0.90).\nOne line.\na_y < b_y."
     shown = found._repr_html_()
     assert "a<b" not in shown
     assert "a&lt;b" in shown
+    assert "<p>a_y &lt; b_y.</p>" in shown
     assert "1.20 ± 0.10" in shown
     assert "1.40 ± 0.20" in shown
+
+
+def test_an_identification_shows_its_warnings() -> None:
+    part: Any = None
+    numbers = {"prior_low": 1.0, "prior_high": 1.5, "true": 1.2, "mean": 1.2, "std": 0.1, "q05": 1.0, "q50": 1.2}
+    numbers |= {"q95": 1.4, "bound_std": 0.1, "contraction": 0.5}
+    table = pd.DataFrame([{"parameter": "l_f", "unit": "m", **numbers, "identified": True}])
+    found = Identified(table, table, part, part, part, ["The last two rounds disagree: a < b."])
+    assert repr(found).splitlines()[-1] == "The last two rounds disagree: a < b."
+    assert found._repr_html_().endswith("<p>The last two rounds disagree: a &lt; b.</p>")
+
+
+def test_a_preset_is_named_as_on_the_command_line(tmp_path: Path) -> None:
+    (tmp_path / "drive.csv").write_text(
+        logger_text("motec").replace("Engine RPM", "Steered Angle").replace("rpm", "deg")
+    )
+    recording = read(tmp_path / "drive.csv", mapping="motec")
+    assert {"v_x", "a_y", "yaw_rate"} < {*recording.channels}
 
 
 def test_a_diagnosis_without_draws_says_so(tmp_path: Path) -> None:
@@ -115,6 +136,8 @@ def identified(recording: Any, folder: Path) -> Identified:
     ("call", "message"),
     [
         (lambda: read("no.csv"), "no such file"),
+        (lambda: read(SHIPPED, colour=1), "read: unknown setting 'colour'"),
+        (lambda: read(SHIPPED, mapping="no_logger"), "no_logger"),
         (lambda: simulate("no_car"), "no_car"),
         (lambda: diagnose(SHIPPED, "ferrari_250lm", prior="nowhere"), "known: "),
         (lambda: identify(SHIPPED, "ferrari_250lm", colour="red"), "unknown setting 'colour'"),
@@ -135,6 +158,7 @@ def test_a_recording_in_memory_is_diagnosed() -> None:
     assert "<table" in found._repr_html_()
     assert found.plot().axes
     assert found.found.pruned is not None
+    assert {*found.parameters["parameter"]} <= {*found.samples.columns}
     assert {*found.parameters["parameter"]} <= {*found.datatree["posterior"].data_vars}
     for row in found.parameters.to_dict("records"):
         draws = found.datatree["posterior"].to_dataset()[str(row["parameter"])]

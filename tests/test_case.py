@@ -55,6 +55,25 @@ def test_recordings_run_on_one_clock(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(clock), 0.02, atol=1e-9)
 
 
+@pytest.mark.parametrize("held", [0, 45])
+def test_of_many_recordings_whole_ones_are_held_out_and_no_more_are_used_than_windows(
+    tmp_path: Path, held: int
+) -> None:
+    files = [written(tmp_path / f"{k}.csv", k) for k in range(60 + held)]
+    case = diagnosis(files[:60], files[60:]).prepare()
+    fitted, kept = ({*part.simulator.windows.recordings} for part in (case.observation, case.held_out))
+    assert case.apart
+    assert fitted.isdisjoint(case.held_out_names)
+    assert kept <= {*case.held_out_names}
+    assert (len(fitted), len(case.held_out_names)) == ((40, 40) if held else (40, 15))
+    assert len(case.observation.simulator.windows.t) <= 80
+    assert (
+        "40 of 60 recordings are fitted: where" in " ".join(case.notes)
+        if held
+        else "every fourth of 60" in case.notes[0]
+    )
+
+
 def test_without_held_out_recordings_blocks_of_time_are_held_out(tmp_path: Path) -> None:
     case = diagnosis([written(tmp_path / "a.csv", 0)], window_s=2.0).prepare()
     fitted, held = (o.simulator.windows for o in (case.observation, case.held_out))

@@ -3,10 +3,11 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
-from vehicle_sbi.command import VERBS, completion, example
+from vehicle_sbi.command import VERBS, _main, completion, example
 
 
 def command(*words: str) -> subprocess.CompletedProcess:
@@ -23,12 +24,40 @@ def test_every_verb_is_listed_with_a_sentence_and_an_example() -> None:
         assert example(name).startswith(f"vehicle-sbi {name}")
 
 
-@pytest.mark.parametrize("name", ["diagnose", "export"])
-def test_help_shows_the_command_as_it_is_typed(name: str) -> None:
+@pytest.mark.parametrize("name", VERBS)
+def test_help_says_what_a_verb_does_as_it_is_typed(name: str) -> None:
     ran = command(name, "--help")
     assert (ran.returncode, ran.stderr) == (0, "")
-    assert f"vehicle-sbi {name}" in ran.stdout
+    assert VERBS[name].sentence in " ".join(ran.stdout.split())
+    assert example(name) in ran.stdout
     assert "python scripts" not in ran.stdout
+
+
+@pytest.mark.parametrize("words", [["--help"], ["-h"], ["--cfg", "job"]])
+def test_a_page_of_before_is_not_opened_where_nothing_is_done(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "outputs" / "demo").mkdir(parents=True)
+    (tmp_path / "outputs" / "demo" / "report.html").touch()
+    opened = list[str]()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("runpy.run_path", lambda *_, **__: None)
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("vehicle_sbi.command._has_screen", lambda: True)
+    for name in ("sys.argv", "sys.path"):
+        monkeypatch.setattr(name, ["vehicle-sbi"])
+    monkeypatch.setenv("VEHICLE_SBI_COMMAND", "")
+    _main(["demo", *words])
+    assert opened == []
+    _main(["demo"])
+    assert opened == [(tmp_path / "outputs" / "demo" / "report.html").as_uri()]
+
+
+def test_a_terminal_without_the_signs_shows_question_marks() -> None:
+    code = "from vehicle_sbi.command import print_anywhere; print_anywhere(); print('1.2 \u00b1 0.1 \u2026 \u2500')"
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "1.2 ? 0.1 ? ?\n"), done.stderr
 
 
 def test_an_unknown_verb_gets_one_line_and_status_2() -> None:

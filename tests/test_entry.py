@@ -76,6 +76,8 @@ HOSTILE = {
     "hostile": f"deeper: {{in: [{{{FOREIGN}}}]}}",
     "callback": f"hydra: {{callbacks: {{mine: {{{FOREIGN}}}}}}}",
     "logging": "hydra: {job_logging: {version: 1, root: {handlers: [x]}, handlers: {x: {(): pathlib.Path.touch}}}}",
+    "environment": "hydra: {job: {env_set: {GIT_CONFIG_COUNT: '1'}}}",
+    "shell": 'hydra: {launcher: {comment: "one\\ntouch two"}}',
 }
 ALIASES = ["a0: &a0 [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]"] + [
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)
@@ -169,6 +171,14 @@ WRONG: Mapping[str, tuple[str, str]] = {
     "foreign code by logging": (
         "--config-dir=hostile experiment=logging",
         "hydra.job_logging.handlers.x.() = pathlib.Path.touch: only",
+    ),
+    "the environment of a job": (
+        "--config-dir=hostile experiment=environment",
+        "hydra.job.env_set: what a shell gets is taken from the command line alone",
+    ),
+    "the shell of a job": (
+        "--config-dir=hostile hydra/launcher=submitit_slurm experiment=shell",
+        "hydra.launcher.comment: what a shell gets is taken from the command line alone",
     ),
     "unknown reference": ("seed=${nothing}", "seed: Interpolation key 'nothing' not found"),
     "missing value": ("does=needs", "needed: Missing mandatory value: needed"),

@@ -244,6 +244,16 @@ def test_the_jobs_of_a_worker_that_is_killed_are_done_by_another() -> None:
         assert dict([*found, *done]) == {x: x * x for x in range(12)}
 
 
+def test_a_scheduler_that_is_lost_is_one_line() -> None:
+    with cluster(workers=1) as (address, (scheduler, _)):
+        work = Function(str(ROOT / "tests"), "test_fleet", "slowly_squared")
+        done = each(Engine(name="dask", scheduler=address), work, range(12))
+        next(done)
+        scheduler.kill()
+        with pytest.raises(InputError, match=f"^the scheduler {address} is lost; the same command goes on with what"):
+            list(done)
+
+
 @pytest.mark.slow
 def test_a_worker_that_is_killed_changes_no_number(recordings: Path, alone: Path, tmp_path: Path) -> None:
     with cluster(workers=2) as (address, (_, worker, _)):
@@ -254,6 +264,7 @@ def test_a_worker_that_is_killed_changes_no_number(recordings: Path, alone: Path
     assert verdicts(tmp_path / "out") == verdicts(alone)
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_lost_ends_in_one_line_and_the_same_command_goes_on(
     recordings: Path, alone: Path, tmp_path: Path
 ) -> None:

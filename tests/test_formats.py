@@ -109,6 +109,13 @@ BAD_FILES = {
         lambda folder: vbo(folder, ["1 000000.0 1 1", "1 000001.0 1 1", "1 00"]),
         "row 13 has 2 fields, .*trunc",
     ),
+    "vbo of two drives": (
+        lambda folder: vbo(folder, ["1 000000.0 1 1", "[data]", "1 000001.0 1 1"]),
+        r"a second section \[data\]",
+    ),
+    "a cell of megabytes": (text(HEAD + "0," + "x" * 5_000_000), "column 'v_x_mps': 'x+…"),
+    "a name of megabytes": (text("time_s," + "x" * 5_000_000 + "\n0,1\n1,2\n"), "unknown column 'v_x_mps'; known: .*…"),
+    "a quoted cell of megabytes": (text(HEAD + '0,"' + "x" * 5_000_000 + '"\n1,2'), "'x+…"),
 }
 
 
@@ -118,6 +125,14 @@ def test_a_bad_file_is_one_clear_line(tmp_path, case):
     with pytest.raises(InputError, match=message) as error:
         only(make(tmp_path)).numbers("v_x_mps")
     assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 1000
+
+
+def test_a_name_that_comes_twice_is_noted(tmp_path):
+    table = only(text("time_s,v_x_mps,v_x_mps,\n0,1,2,\n1,2,3,\n")(tmp_path))
+    assert [*table.columns][:3] == ["time_s", "v_x_mps", "v_x_mps (2)"]
+    assert table.notes == (f"{table.path}: v_x_mps comes twice; of a name the second column is called 'NAME (2)'",)
+    np.testing.assert_array_equal(table.numbers("v_x_mps"), [1.0, 2.0])
 
 
 T = np.arange(300) / 50.0

@@ -25,6 +25,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from vehicle_sbi.data.formats.limits import ALWAYS, MOST_FRAMES, RATIO, Budget, Zlib
+from vehicle_sbi.data.formats.registry import read_tables
 from vehicle_sbi.errors import InputError
 
 ROOT = Path(__file__).parent.parent
@@ -171,6 +172,27 @@ def test_a_bomb_is_refused_in_time_and_memory(kind: str, tmp_path: Path) -> None
     assert "\n" not in said
     assert seconds < SECONDS
     assert memory < 2 * ALWAYS + 4 * size
+
+
+def test_columns_of_parquet_that_hold_no_channel_are_not_read(tmp_path: Path) -> None:
+    """Of these a few bytes may be gigabytes, whatever their sizes say."""
+    others = {
+        "list": pa.array([[1.0] * 9] * 3),
+        "record": pa.array([{"a": 1, "b": "x"}] * 3),
+        "long text": pa.array(["x"] * 3, pa.large_string()),
+        "bytes": pa.array([b"xy"] * 3, pa.binary(2)),
+        "variable": pa.array([b"xy"] * 3),
+    }
+    read = {
+        "time_s": pa.array([0.0, 0.1, 0.2]),
+        "gear": pa.array([1, 2, 3]),
+        "on": pa.array([True] * 3),
+        "said": ["a"] * 3,
+    }
+    pq.write_table(pa.table({**read, **others}), tmp_path / "a.parquet")
+    (table,) = read_tables(tmp_path / "a.parquet")
+    assert {*table.columns} == {*read}
+    assert table.notes[0].endswith("not read: list, record, long text, bytes, variable")
 
 
 @pytest.mark.parametrize(

@@ -201,9 +201,18 @@ def test_a_frozen_wheel_is_said(kind: str) -> None:
     assert_frozen_is_said(healthy(kind), "wheel_speed_fl")
 
 
-def assert_frozen_is_said(right: Mapping[str, np.ndarray], changed: str) -> None:
+@pytest.mark.parametrize("kind", DRIVES)
+@pytest.mark.parametrize("changed", ["a_y", "yaw_rate", "steering"])
+def test_a_channel_that_is_dead_from_the_start_or_to_the_end_is_said(kind: str, changed: str) -> None:
+    assert_frozen_is_said(healthy(kind), changed, start=0, stop=None)
+    assert_frozen_is_said(healthy(kind), changed, start=900, stop=None)
+
+
+def assert_frozen_is_said(
+    right: Mapping[str, np.ndarray], changed: str, *, start: int = 900, stop: int | None = 1400
+) -> None:
     values = right[changed].copy()
-    values[900:1400] = values[900]
+    values[start:stop] = values[start]
     found = findings(recording({**right, changed: values}))
     assert any(line.startswith(f"{changed} stays at") and line.endswith("is it frozen?") for line in found), found
 

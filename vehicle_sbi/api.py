@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ from matplotlib.figure import Figure
 from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.command import CONF
 from vehicle_sbi.data.manoeuvre import Manoeuvre
+from vehicle_sbi.data.mapping import built
 from vehicle_sbi.data.noise import ConstantNoise, ProcessNoise
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording
@@ -67,13 +69,15 @@ class Held(RecordingFile):
 
 @dataclass(frozen=True, repr=False)
 class Identified:
-    """Parameters of a vehicle: `table` (a row each), `samples` (a column each) of the posterior, and sbi's own."""
+    """Parameters of a vehicle: `table` (a row each), `samples` (a column each) of the posterior, sbi's own, and
+    `warnings`: what to know before the table is relied on."""
 
     table: pd.DataFrame
     samples: pd.DataFrame
     prepared: "Prepared"
     inference: "Inference"
     predicted: Predictive
+    warnings: Sequence[str] = ()
 
     @property
     def posterior(self) -> Any:
@@ -108,12 +112,12 @@ class Identified:
     def __repr__(self) -> str:
         from vehicle_sbi.report.tables.text import terminal
 
-        return terminal(self.table)
+        return "\n".join([terminal(self.table), *self.warnings])
 
     def _repr_html_(self) -> str:
         from vehicle_sbi.report.tables.text import for_people, html
 
-        return html(for_people(self.table))
+        return html(for_people(self.table)) + _paragraphs(self.warnings)
 
 
 @dataclass(frozen=True, repr=False)
@@ -142,6 +146,14 @@ class Diagnosed:
         return pd.DataFrame(rows)
 
     @cached_property
+    def samples(self) -> pd.DataFrame:
+        """Joint draws of base parameters and effects, a column each; NaN where an effect is not missing.
+
+        Raises InputError where there are none, as `datatree` does.
+        """
+        return netcdf.draws(self.datatree)
+
+    @cached_property
     def datatree(self) -> "DataTree":
         """Joint draws of base parameters and effects with observed channels, as xarray and ArviZ have them.
 
@@ -167,14 +179,12 @@ class Diagnosed:
         return figure
 
     def __str__(self) -> str:
-        return "\n".join([self.verdict.headline, *self.verdict.lines])
+        return "\n".join([self.verdict.headline, *self.verdict.lines, *self.verdict.warnings])
 
     def __repr__(self) -> str:
         return str(self)
 
     def _repr_html_(self) -> str:
-        from html import escape
-
         from vehicle_sbi.report.tables.text import html
 
         effects = self.table.head(SHOWN).assign(probability=lambda t: t["probability"].map("{:.2f}".format))
@@ -182,13 +192,19 @@ class Diagnosed:
         base = given[["parameter", "unit"]].copy()
         for when in ("before", "after"):
             base[when] = [*map(mean_and_std, given[f"mean {when}"], given[f"std {when}"])]
-        lines = "".join(f"<p>{escape(line)}</p>" for line in self.verdict.lines)
+        lines = _paragraphs([*self.verdict.lines, *self.verdict.warnings])
         return f"<h4>{escape(self.verdict.headline)}</h4>{lines}{html(effects)}{html(base)}"
 
 
-def read(path: str | Path, mapping: Mapping[str, Any] | None = None, **settings: Any) -> Recording:
-    """A recording of any format that is read; `settings` are those of `RecordingFile` (rate, start_s, dbc, …)."""
-    return RecordingFile(path=path, mapping=mapping, **settings).load()
+def read(path: str | Path, mapping: str | Path | Box | None = None, **settings: Any) -> Recording:
+    """A recording of any format that is read.
+
+    `mapping` says which column holds which channel, or names a file that does, or one of conf/mapping ("motec").
+    `settings` are those of `RecordingFile` (rate, start_s, dbc, …).
+    """
+    named = CONF / "mapping" / f"{mapping}.yaml" if isinstance(mapping, str) else None
+    mapped = named if named is not None and named.is_file() else mapping
+    return built(RecordingFile, {"path": path, "mapping": mapped, **settings}, "read").load()
 
 
 def identify(
@@ -211,7 +227,7 @@ def identify(
     """
     from vehicle_sbi.inference.rounds import infer
     from vehicle_sbi.inference.study import Study
-    from vehicle_sbi.report.results import results
+    from vehicle_sbi.report.results import results, warnings_of
 
     parts = {"features": "score", "estimator": "nsf", "training": "default", "noise": "estimated"}
     built = {group: _chosen(group, name, settings.pop(group, name)) for group, name in parts.items()}
@@ -224,7 +240,8 @@ def identify(
     found = results(prepared, inference, samples=samples, reweight=reweight)
     names = list(prepared.problem.simulator.space.names)
     samples_by_name = pd.DataFrame(found.samples, columns=names)
-    return Identified(found.table, samples_by_name, prepared, inference, found.predicted)
+    warned = warnings_of(prepared, inference, found.table)
+    return Identified(found.table, samples_by_name, prepared, inference, found.predicted, warned)
 
 
 def diagnose(
@@ -285,6 +302,11 @@ def simulate(
     return pd.DataFrame({"time_s": windows.t.reshape(-1), **driven_by, **table})
 
 
+def _paragraphs(lines: Sequence[str]) -> str:
+    """Lines as HTML."""
+    return "".join(f"<p>{escape(line)}</p>" for line in lines)
+
+
 def _rounds(folder: Path, asked: str) -> Checkpoints:
     """Rounds in a folder, those of an earlier call of the same if its file of hashes has them."""
     file = folder / "rounds.json"
@@ -315,7 +337,7 @@ def _common(
     if strange:
         raise unknown("setting", strange[0], chosen, "settings")
     chosen |= {name: settings[name] for name in chosen if name in settings}
-    boxes = yaml.safe_load(_option("prior", prior).read_text()) if isinstance(prior, str) else prior
+    boxes = yaml.safe_load(_option("prior", prior).read_text(encoding="utf-8")) if isinstance(prior, str) else prior
     return {**chosen, "vehicle": _vehicle(vehicle), "prior": boxes, "recording": file}
 
 
@@ -353,7 +375,7 @@ def _built(group: str, name: str | Any, changes: Mapping[str, Any] | None = None
     """What one of the project's own configuration files builds, with some of its settings changed."""
     if not isinstance(name, str):
         return name
-    return _constructed({**yaml.safe_load(_option(group, name).read_text()), **(changes or {})})
+    return _constructed({**yaml.safe_load(_option(group, name).read_text(encoding="utf-8")), **(changes or {})})
 
 
 def _constructed(node: Mapping[str, Any]) -> Any:

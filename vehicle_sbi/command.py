@@ -11,6 +11,7 @@ import webbrowser
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from io import TextIOWrapper
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent
@@ -23,6 +24,8 @@ def _folder(name: str) -> Path:
 
 
 SCRIPTS, CONF = _folder("scripts"), _folder("conf")
+HELP = ("--help", "-h")
+SAY_ONLY = (*HELP, "--cfg", "-c", "--info", "-i", "--hydra-help", "--version")  # with which nothing is done
 TAKE_A_VALUE = ("--cfg", "-c", "--package", "-p", "--info", "-i", "--config-dir", "-cd", "--config-name", "-cn")
 USAGE = "vehicle-sbi VERB key=value …"
 MORE = "vehicle-sbi VERB --help says more; --version the version; --completion a script for bash or zsh"
@@ -80,12 +83,20 @@ VERBS: Mapping[str, Verb] = {
 
 def main() -> None:
     """Run the verb that the command line begins with; status 141 where nobody reads on, as `head` does not."""
+    print_anywhere()
     try:
         _main(sys.argv[1:])
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more is written as Python ends
         sys.exit(128 + 13)  # as if SIGPIPE had ended it
+
+
+def print_anywhere() -> None:
+    """Have a terminal or a pipe that has no ± or … show ? instead, as code pages of Windows need."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _main(typed: Sequence[str]) -> None:
@@ -96,6 +107,8 @@ def _main(typed: Sequence[str]) -> None:
         print(version("vehicle-sbi"))
     elif name == "--completion":
         print(completion())
+    elif name in VERBS and VERBS[name].given and {*HELP} & {*typed}:
+        print(help_of(name))
     elif name in VERBS:
         _run(name, VERBS[name].arguments(typed[1:]))
     else:
@@ -107,6 +120,14 @@ def overview() -> str:
     """Every verb with a sentence and an example."""
     rows = [f"  {name:<14} {verb.sentence}\n{'':<17}{example(name)}" for name, verb in VERBS.items()]
     return "\n".join([USAGE, "", *rows, "", MORE])
+
+
+def help_of(name: str) -> str:
+    """The help of a verb that is another one with words that are given."""
+    verb = VERBS[name]
+    plain = next(other for other, one in VERBS.items() if one.script == verb.script and not one.given)
+    given = f"It is `vehicle-sbi {plain} {' '.join(verb.given)}`, and takes further keys of `{plain}`:"
+    return "\n".join([f"{verb.sentence}.", "", f"  {example(name)}", "", given, f"vehicle-sbi {plain} --help"])
 
 
 def example(name: str) -> str:
@@ -148,7 +169,8 @@ def _run(name: str, arguments: Sequence[str]) -> None:
     sys.argv = [str(script), *arguments]
     sys.path.insert(0, str(SCRIPTS))
     runpy.run_path(str(script), run_name="__main__")
-    if (page := VERBS[name].opens) and _has_screen():
+    page = VERBS[name].opens
+    if page and Path(page).is_file() and not {*SAY_ONLY} & {*arguments} and _has_screen():
         webbrowser.open(Path(page).resolve().as_uri())
 
 

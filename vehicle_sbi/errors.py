@@ -1,11 +1,19 @@
 """The one error a user's mistake raises: a line that says what was given, what is allowed and where it came from."""
 
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+LONGEST_WORD, LONGEST = 400, 4000  # characters of a message, of which a file's cells may be megabytes
+KEPT = 80  # of a longer word
 
 
 class InputError(ValueError):
     """A wrong value at the boundary. Scripts print its single line and exit with status 2."""
+
+    def __init__(self, message: str) -> None:
+        words = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: f"{word[0][:KEPT]}…", message)
+        super().__init__(words if len(words) <= LONGEST else f"{words[:LONGEST]}…")
 
 
 def unknown(what: str, given: str, known: Iterable[str], where: str) -> InputError:

@@ -14,6 +14,8 @@ LONGEST = 1_000_000  # characters of a file
 MOST = 100_000  # values of a file, with aliases written out
 DEEPEST = 50  # levels of lists and mappings
 DIGITS = 40  # of a number; a double has 17
+NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_RESOLVER = yaml.resolver.Resolver()
 
 
 class UnreadableYaml(ValueError):
@@ -67,8 +69,11 @@ def _values(text: str) -> Iterator[int]:
 
 
 def _check_number(scalar: yaml.ScalarEvent) -> None:
-    plain = scalar.implicit[0] and scalar.value.lstrip("+-").replace("_", "").replace(".", "", 1)
-    if plain and len(plain) > DIGITS and plain.isdigit():
+    """Refuse a long number in any of YAML's notations: decimal, hexadecimal, octal, binary, to the base of 60."""
+    if len(scalar.value) <= DIGITS:
+        return
+    tag = scalar.tag or _RESOLVER.resolve(yaml.ScalarNode, scalar.value, scalar.implicit)
+    if tag in NUMBERS:
         raise UnreadableYaml(f"line {scalar.start_mark.line + 1}: a number of more than {DIGITS} digits")
 
 

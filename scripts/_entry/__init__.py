@@ -29,9 +29,12 @@ from _entry.targets import guard
 
 import os
 
+from vehicle_sbi.command import print_anywhere
+
 __all__ = ["LONGEST_NAME", "launch", "named_recordings", "run_folder", "study_name", "use_engine", "warn"]
 
 guard()
+print_anywhere()
 
 # What is imported above imports neither numpy nor torch; tests/test_entry.py holds it to that.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 
 import yaml
 
-from vehicle_sbi.command import as_typed
+from vehicle_sbi.command import HELP, as_typed
 
 FILES: Mapping[str, str] = {"recording": "or a file", "vehicle": "or a YAML file", "mapping": "or a YAML file"}
 WIDTH = 14
@@ -17,7 +17,7 @@ MORE = "--cfg job prints every key, -m sweeps over values, hydra.run.dir=FOLDER 
 
 def wanted(arguments: list[str]) -> bool:
     """Whether the user asks for help."""
-    return any(argument in ("--help", "-h") for argument in arguments)
+    return any(argument in HELP for argument in arguments)
 
 
 def text(docstring: str, config_name: str, script: str) -> str:

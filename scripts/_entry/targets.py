@@ -8,7 +8,7 @@ from _entry import configuration
 
 import functools
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
@@ -19,6 +19,7 @@ from vehicle_sbi.errors import InputError, unknown
 PLACES = (r"hydra\._internal\.core_plugins\.\w+", r"hydra_plugins\.\w+\.\w+", r"hydra\.experimental\.callbacks")
 PLUGIN = re.compile(rf"({'|'.join(PLACES)})\.[A-Z]\w+")  # of Hydra's own
 HANDLERS = {f"logging.{name}" for name in ("StreamHandler", "FileHandler", "NullHandler", "Formatter")}
+SHELL = ("env_set", "setup", "additional_parameters")  # what jobs' environments and shells get
 FACTORIES = ("_target_", "()", "class")  # what is imported and called, in Hydra's nodes and in those of logging
 
 
@@ -39,13 +40,17 @@ def check_targets(node: Any, where: str = "") -> None:
         check_targets(value, place)
 
 
-def check_hydra(node: Any, where: str = "hydra") -> None:
-    """Raise InputError for what Hydra, or the logging that it sets up, would call beside its own plugins."""
+def check_hydra(node: Any, typed: Sequence[str] = (), where: str = "hydra") -> None:
+    """Raise InputError for what Hydra, or the logging that it sets up, would call beside its own plugins, and for what
+    would reach a shell without being `typed` on the command line."""
     for key, value, place in _entries(node, where):
+        shell = key in SHELL or (where.startswith("hydra.launcher") and "\n" in str(value))
+        if shell and value and not any(word.lstrip("+").startswith(place) for word in typed):
+            raise InputError(f"{place}: what a shell gets is taken from the command line alone, not from a file")
         own = PLUGIN.fullmatch(str(value)) if key == "_target_" else str(value) in HANDLERS
         if key in FACTORIES and not own:
             raise InputError(f"{place} = {value}: only Hydra's own plugins and plain handlers of logging are called")
-        check_hydra(value, place)
+        check_hydra(value, typed, place)
 
 
 def guard() -> None:
@@ -56,7 +61,8 @@ def guard() -> None:
     def checked(self: ConfigLoaderImpl, *given: Any, **more: Any) -> DictConfig:
         cfg = compose(self, *given, **more)
         parts: Any = OmegaConf.to_container(cfg, resolve=False)
-        check_hydra(parts.pop("hydra", None))
+        own = parts.pop("hydra", None) or {}
+        check_hydra(own, own.get("overrides", {}).get("hydra", []))
         check_targets(parts)
         return cfg
 

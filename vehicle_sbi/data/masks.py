@@ -4,6 +4,7 @@ A part is the recording itself on its own grid, with the samples of all other pa
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -44,6 +45,21 @@ def _liveliness(recording: Recording, stretch: Int[np.ndarray, " time"], count: 
         variance = pd.Series(values[valid]).groupby(stretch[valid]).var(ddof=0).reindex(range(count), fill_value=0.0)
         lively += np.nan_to_num(variance.to_numpy()) / max(float(np.var(values[valid])), 1e-12)
     return lively
+
+
+def liveliest_of(recordings: Sequence[Recording], most: int) -> list[int]:
+    """Which recordings, in their order, have the largest variances of steering and speed, `most` of them at most."""
+    if len(recordings) <= most:
+        return list(range(len(recordings)))
+    variances = np.array([[_variance(one, names) for names in LIVELINESS] for one in recordings])
+    lively = (variances / np.maximum(variances.mean(axis=0), 1e-12)).sum(axis=1)
+    return sorted(np.argsort(-lively, kind="stable")[:most].tolist())
+
+
+def _variance(recording: Recording, names: Sequence[str]) -> float:
+    """Of the first of these channels that was recorded; 0 without."""
+    recorded = next((series for name in names if (series := recording.series(name)) is not None), None)
+    return float(np.var(recorded[0][recorded[1]])) if recorded is not None and recorded[1].any() else 0.0
 
 
 def holdout(

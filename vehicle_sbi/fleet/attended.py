@@ -29,7 +29,7 @@ def attended(
         os.environ | ONE_THREAD | {"PYTHONPATH": str(tree or ROOT), "HYDRA_FULL_ERROR": "0"}
     )  # a line, no traceback
     command = [sys.executable, __file__, str(script), *words]
-    with log.open("w") as file:
+    with log.open("w", encoding="utf-8") as file:
         process = subprocess.Popen(command, cwd=tree, stdin=subprocess.PIPE, stdout=file, stderr=file, env=environment)
         try:
             return process.wait(timeout_s)

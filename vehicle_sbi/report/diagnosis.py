@@ -82,7 +82,7 @@ def write_report(folder: RunFolder, case: Case, found: Found, answer: Verdict) -
 def show(folder: RunFolder) -> None:
     """Print the headline of a finished diagnosis, its lines and warnings, the paths of what it wrote, and what infers
     the extended model."""
-    answer = json.loads((folder.path / "verdict.json").read_text())
+    answer = json.loads((folder.path / "verdict.json").read_text(encoding="utf-8"))
     print(answer["headline"], *answer["lines"], *answer["warnings"], sep="\n")
     print()
     print(*(folder.path / name for name in WRITTEN if (folder.path / name).exists()), sep="\n")

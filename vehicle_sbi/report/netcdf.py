@@ -123,25 +123,26 @@ def write(path: Path, tree: "xr.DataTree") -> None:
     write_atomically(path, lambda file: file.write(content.getbuffer()))
 
 
-def read(path: Path) -> pd.DataFrame:
-    """Draws of the posterior, a column a parameter; NaN where a parameter's effect is at its null.
+def draws(tree: "xr.DataTree") -> pd.DataFrame:
+    """Draws of the posterior, a column a parameter; NaN where a parameter's effect is at its null."""
+    posterior = tree["posterior"].to_dataset()
+    frame = pd.DataFrame({one.attrs.get("parameter", name): one.values[0] for name, one in posterior.data_vars.items()})
+    if "sample_stats" in tree.children:
+        included = tree["sample_stats"].to_dataset()["included"]
+        for name, there in zip(included["effect_parameter"].values, included.values[0].T, strict=True):
+            frame[name] = frame[name].where(there)
+    return frame
 
-    Raises InputError for any other file.
-    """
+
+def read(path: Path) -> pd.DataFrame:
+    """The `draws` in a file. Raises InputError for any other file."""
     import xarray as xr
 
     try:
         with xr.open_datatree(path, engine=ENGINE) as tree:
-            posterior = tree["posterior"].to_dataset()
-            columns = {one.attrs.get("parameter", name): one.values[0] for name, one in posterior.data_vars.items()}
-            frame = pd.DataFrame(columns)
-            if "sample_stats" in tree.children:
-                included = tree["sample_stats"].to_dataset()["included"]
-                for name, there in zip(included["effect_parameter"].values, included.values[0].T, strict=True):
-                    frame[name] = frame[name].where(there)
+            return draws(tree)
     except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: not a NetCDF-4 file of posterior draws ({type(error).__name__})") from None
-    return frame
 
 
 def variables(names: Iterable[str]) -> dict[str, str]:

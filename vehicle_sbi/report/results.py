@@ -106,7 +106,7 @@ def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, sampl
         origin = netcdf.Origin.of_folder(folder, prepared.name)
         netcdf.write(folder.path / netcdf.FILE, netcdf.of_run(prepared, found.samples, found.predicted, origin))
         notes = [*round_notes(inference), *filter(None, [found.reweighted])]
-        warnings = [*prepared.warnings, *round_warnings(inference, found.table, prepared.problem.simulator.space)]
+        warnings = warnings_of(prepared, inference, found.table)
         notes += [f"Hardly told apart: {a} and {b}: correlation {r:.2f}." for a, b, r in found.confusable]
         told = [*notes, *found.predicted.sentences(), *prepared.notes]
         folder.record(**facts(inference), confusable=found.confusable, notes=told, warnings=warnings)
@@ -210,6 +210,11 @@ def round_notes(inference: Inference) -> list[str]:
         f"{failed} of {made} simulations spun out or were not finite.",
         f"Share of the estimated density inside the prior, round by round: {inside}.",
     ]
+
+
+def warnings_of(prepared: Prepared, inference: Inference, table: pd.DataFrame) -> list[str]:
+    """Of the recording, of the rounds and of each parameter what to know before the table is relied on."""
+    return [*prepared.warnings, *round_warnings(inference, table, prepared.problem.simulator.space)]
 
 
 def round_warnings(inference: Inference, table: pd.DataFrame, space: ParameterSpace) -> list[str]:

@@ -19,6 +19,7 @@ from typing import Any
 import yaml
 from filelock import FileLock, Timeout
 
+from vehicle_sbi import plain_yaml
 from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.files import remove_parts, sha256, write_text
@@ -204,11 +205,11 @@ def is_finished(path: Path) -> bool:
 
 def _yaml(file: Path) -> Any:
     try:
-        return yaml.safe_load(file.read_text())
+        return plain_yaml.load(file)
     except FileNotFoundError:
         raise InputError(f"{file}: missing, so what this run did is not known") from None
-    except yaml.YAMLError as error:
-        raise InputError(f"{file}: not YAML ({' '.join(str(error).split())})") from None
+    except plain_yaml.UnreadableYaml as error:
+        raise InputError(f"{file}: {error}") from None
 
 
 def _locked(path: Path) -> FileLock:
@@ -217,7 +218,7 @@ def _locked(path: Path) -> FileLock:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        process = holder.read_text() if holder.exists() else "unknown"
+        process = holder.read_text(encoding="utf-8") if holder.exists() else "unknown"
         raise InputError(
             f"{path} is in use by process {process}; wait for it or choose another hydra.run.dir"
         ) from None

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from vehicle_sbi.data.channels import AXLE_MEANS, CHANNELS
 from vehicle_sbi.data.checks.drive import MOVING, STEERINGS, Drive, Finding, runs
@@ -59,13 +59,13 @@ def frozen(drive: Drive) -> Iterator[Finding]:
             continue
         values = np.where(series[1], series[0], np.nan)
         same = np.concatenate([[False], np.abs(np.diff(values)) <= 1e-9 * (np.nanmax(np.abs(values), initial=0.0))])
+        if name != "v_x":
+            same &= _driving(drive)  # a car that stands is no contradiction
         held = runs(same)
         lengths = held[:, 1] - held[:, 0] + 1
         usual = float(np.median(lengths)) if len(lengths) > 4 else 1.0
         least = max(FROZEN_S * drive.rate, HELD * usual) if len(lengths) > 4 else FROZEN_S * drive.rate
         for (start, stop), length in zip(held, lengths, strict=True):
-            if name != "v_x" and not np.all(np.abs(drive["v_x"][start:stop]) > MOVING):
-                continue  # a car that stands is no contradiction
             moved = next((one for one in partners if length >= least and _moves(drive, one, start, stop)), None)
             if moved is not None:
                 spoken = _spoken(moved)
@@ -129,6 +129,12 @@ def _at(values: Float[np.ndarray, " known"]) -> tuple[float, int]:
     if at.sum() <= TIMES * near.sum():
         return 0.0, 0
     return float(at.mean()), len(runs(at))
+
+
+def _driving(drive: Drive) -> Bool[np.ndarray, " time"]:
+    """Where the car drives: not where it stands, and nowhere if its speed is not known at all."""
+    speed = drive["v_x"]
+    return (np.abs(speed) > MOVING) | (np.isnan(speed) & np.isfinite(speed).any())
 
 
 def _moves(drive: Drive, name: str, start: int, stop: int) -> bool:

@@ -23,7 +23,7 @@ class Table:
 
     `clock` names the source (a ROS topic, an MDF group, a CAN message; "" where the file has a single one), `units`
     holds the file's own unit of a column where it states one, `time` names the usual time column and `first_row` is
-    the number of the first data row for messages. `notes` says what was done to the clock.
+    the number of the first data row for messages. `notes` says what was done to the clock, or what was left out.
     """
 
     path: Path

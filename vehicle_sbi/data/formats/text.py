@@ -7,6 +7,7 @@ mostly numbers, the nearest row of that width above is the header, or the units 
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
@@ -19,6 +20,7 @@ from vehicle_sbi.data.formats.lines import check_widths, text_lines
 from vehicle_sbi.data.formats.table import Table, foreign
 from vehicle_sbi.data.units import known_unit
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.words import enumerated
 
 LONGEST_PREAMBLE = 500
 """Lines among which the first numbers are sought."""
@@ -52,7 +54,8 @@ def read(path: Path) -> tuple[Table, ...]:
     frame = _numbers(path, rows, names, layout.separator) if rows else pd.DataFrame(columns=names)
     columns = {str(name): frame[name] for name in frame}
     units = _units(names, layout.units)
-    return (Table(path=path, columns=columns, time=_time(names), first_row=layout.start + 1, units=units),)
+    notes, first_row = _repeated(path, layout.names), layout.start + 1
+    return (Table(path=path, columns=columns, time=_time(names), first_row=first_row, units=units, notes=notes),)
 
 
 def _numbers(path: Path, rows: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
@@ -136,7 +139,10 @@ def _separator(line: str) -> str:
 
 
 def _fields(line: str, separator: str) -> list[str]:
-    fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), []) if '"' in line else None
+    try:
+        fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), []) if '"' in line else None
+    except csv.Error:  # a field longer than 128 KiB, which is no number
+        fields = None
     return [field.strip() for field in (line.split(separator) if fields is None else fields)]
 
 
@@ -157,6 +163,14 @@ def _distinct(names: Sequence[str]) -> list[str]:
         counts[name] = counts.get(name, 0) + 1
         distinct.append(name if counts[name] == 1 else f"{name} ({counts[name]})")
     return distinct
+
+
+def _repeated(path: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """A note of the names that come more than once, if any do."""
+    twice = [name for name, count in Counter(names).items() if name and count > 1]
+    return (
+        (f"{path}: {enumerated(twice)} comes twice; of a name the second column is called 'NAME (2)'",) if twice else ()
+    )
 
 
 def _time(names: Sequence[str]) -> str:

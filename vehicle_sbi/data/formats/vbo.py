@@ -21,6 +21,9 @@ def read(path: Path) -> tuple[Table, ...]:
     """The columns, with `time` turned into seconds since the first row, across midnight too."""
     lines = text_lines(path, "latin-1")
     sections = {line.strip().lower(): i for i, line in enumerate(lines) if line.startswith("[")}
+    starts = [i for i, line in enumerate(lines, 1) if line.strip().lower() == "[data]"]
+    if len(starts) > 1:
+        raise InputError(f"{path}: row {starts[1]}: a second section [data]; it must be a file of its own")
     missing = [name for name in ("[column names]", "[data]") if name not in sections]
     if missing:
         raise InputError(f"{path}: is no VBO file, it has no section {' and no '.join(missing)}")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from vehicle_sbi.data.masks import holdout, liveliest
+from vehicle_sbi.data.masks import holdout, liveliest, liveliest_of
 from vehicle_sbi.data.noise import FEWEST, DrawnProcessNoise, EstimatedNoise, Mixture
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording
@@ -23,6 +23,8 @@ BUFFER_S = 1.0  # [s] beside it that is not fitted
 MOST_SAMPLES = 60_000  # of the recordings together; of longer ones the liveliest stretches are used
 MOST_READINGS = 120_000  # the same times channels
 MOST_WINDOWS = 40  # into which recordings are cut for fitting; longer ones get longer windows
+MOST_RECORDINGS = 40  # that are fitted; of more the liveliest are used, since each is a window at least
+MANY = 12  # recordings from which on every fourth one is held out whole, where none is named
 STIFFEST = 2.0  # step times rate: modes this fast are stable (to 2.78) and gone within a sample, at half the cost
 START = 2.0  # times what smoothing leaves over, which lacks the slow part of autocorrelated noise, is a start's spread
 Read = list[tuple[RecordingFile, Recording]]
@@ -53,8 +55,9 @@ class Case:
 class Diagnosis(Setup):
     """Which recordings are fitted and which are held out; a path is read as `recording` says, which stands alone too.
 
-    Without held-out recordings, blocks of the others' time are held out, with a buffer around them. With them, half of
-    their time helps to name what is missing and the other half proves it.
+    Without held-out recordings, blocks of the others' time are held out, with a buffer around them; of many recordings
+    every fourth one is. With held-out ones, half of their time helps to name what is missing and the other half proves
+    it.
     """
 
     recording: RecordingFile
@@ -67,7 +70,8 @@ class Diagnosis(Setup):
         that is stated: what is missing would have to explain what a misjudged noise does not."""
         if not isinstance(self.noise, EstimatedNoise):
             raise InputError("noise: a diagnosis estimates it from the recordings; leave it at noise=estimated")
-        training, held = self._read()
+        training, held, left_out = self._read()
+        apart = bool(held)
         inputs = {recording.source: recording.sha256 for _, recording in (*training, *held)}
         cut = replace(self, window_s=self._window_s(training, held))
         names = tuple(recording.name for _, recording in held)
@@ -79,19 +83,19 @@ class Diagnosis(Setup):
         parts = [cut.windows(recording, file) for file, recording in training]
         space = self.space(parts[0])
         _check_nulls(space)
-        if self.heldout:
+        if apart:
             others = [cut.windows(recording, file) for file, recording in held]
-            clock = tuple(one_after_another([[part] for part in apart]) for apart in (parts, others))
+            clock = tuple(one_after_another([[part] for part in each]) for each in (parts, others))
         else:
             others = cut.of_blocks(held)
             clock = _shared_clock(parts, others)
         check_alike([*parts, *others], [part.recordings[0] for part in (*parts, *others)])
         observation = cut.observe(space, parts, clock[0])
         held_out = cut.observe(space, others, clock[1])
-        if not self.heldout:
+        if not apart:
             held_out = held_out.extended(replace(held_out.simulator, nominal=observation.simulator.nominal))
         naming, proving = halves(held_out)
-        if not (self.heldout and naming.anything and proving.anything):
+        if not (apart and naming.anything and proving.anything):
             naming, proving = None, held_out
         return Case(
             name=f"{self.vehicle.name} from {', '.join(recording.name for _, recording in training)}",
@@ -99,23 +103,24 @@ class Diagnosis(Setup):
             naming=naming,
             held_out=proving,
             held_out_names=names,
-            apart=bool(self.heldout),
-            notes=observation.simulator.windows.notes,
+            apart=apart,
+            notes=(*left_out, *observation.simulator.windows.notes),
             warnings=warnings,
             inputs=inputs,
             effect_prior=self.effect_prior,
         )
 
     def _window_s(self, training: Read, held: Read) -> float:
-        """The length of windows [s] that is asked for; longer where there would be too many of them, no longer than the
-        blocks that are held out where no recording is."""
+        """The length of windows [s] that is asked for, no longer than the blocks that are held out where no recording
+        is; longer where there would be too many of them, but not for that alone longer than the shortest recording."""
         if not self.window_s > self.warmup_s:
             raise InputError(f"window_s = {self.window_s:g}; it must be longer than warmup_s = {self.warmup_s:g}")
         if not held:
             self._check_length(training)
         seconds = sum(recording.present_s for _, recording in (*training, *held))
-        shortest = min(recording.present_s for _, recording in training)
-        return max(self.window_s if held else min(self.window_s, HELD_OUT * shortest), seconds / MOST_WINDOWS)
+        shortest = min(recording.present_s for _, recording in (*training, *held))
+        few_s = seconds / MOST_WINDOWS
+        return max(self.window_s, min(few_s, shortest)) if held else max(min(self.window_s, HELD_OUT * shortest), few_s)
 
     def _check_length(self, training: Read) -> None:
         """InputError for a recording too short to hold anything out.
@@ -153,13 +158,15 @@ class Diagnosis(Setup):
             raise refused[0]
         return found
 
-    def _read(self) -> tuple[Read, Read]:
-        """Recordings to fit and to hold out with the files that they come from, as much of them as fits in memory."""
+    def _read(self) -> tuple[Read, Read, list[str]]:
+        """Recordings to fit and to hold out with the files that they come from, as much of them as fits in memory, and
+        what was left out or held out."""
         training, held = (
             [(file, file.load()) for file in self._files(given)]
             for given in (self.recordings or [self.recording], self.heldout)
         )
         _check_once(training, held)
+        training, held, notes = _apart(training, held)
         names = Counter(recording.name for _, recording in (*training, *held))
         kept = [
             [
@@ -168,7 +175,7 @@ class Diagnosis(Setup):
             ]
             for part in (training, held)
         ]
-        return kept[0], kept[1]
+        return kept[0], kept[1], notes
 
     def _files(self, given: Sequence[str | RecordingFile]) -> list[RecordingFile]:
         """Paths with the settings of `recording`, and named recordings with their own."""
@@ -181,6 +188,21 @@ class Diagnosis(Setup):
         simulator = self.simulator(space, windows, uniform_start=False, stiffest=STIFFEST)
         simulator = replace(simulator, process=NO_DRAWS)
         return Observation(simulator, np.where(windows.valid, windows.y, 0.0), estimated=True)
+
+
+def _apart(training: Read, held: Read) -> tuple[Read, Read, list[str]]:
+    """The liveliest recordings, of many every fourth one held out where none is named, and notes of both."""
+    notes = list[str]()
+    if not held and len(training) >= MANY:
+        training, held = [one for k, one in enumerate(training) if k % 4], training[::4]
+        notes.append(f"every fourth of {len(training) + len(held)} recordings is held out")
+    chosen = list[Read]()
+    for what, part in (("fitted", training), ("held out", held)):
+        best = liveliest_of([recording for _, recording in part], MOST_RECORDINGS)
+        chosen.append([part[k] for k in best])
+        if len(best) < len(part):
+            notes.append(f"{len(best)} of {len(part)} recordings are {what}: where steering and speed change most")
+    return chosen[0], chosen[1], notes
 
 
 def _shares(part: Read) -> list[float]:

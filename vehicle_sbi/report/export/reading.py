@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import yaml
 
+from vehicle_sbi import plain_yaml
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.plausible import PLAUSIBLE
 from vehicle_sbi.inference.prior import KNOWN, flatten
@@ -171,9 +171,9 @@ def _boxes(run: FinishedRun) -> Mapping[str, tuple[float, float]]:
     """The bounds of every parameter's prior: those of the extended model, else the configured, else the catalogue's."""
     file = run.file("extended.yaml")
     try:
-        extended = yaml.safe_load(file.read_text(encoding="utf-8")) if file.exists() else {}
-    except (yaml.YAMLError, UnicodeDecodeError):
-        raise InputError(f"{file}: not YAML") from None
+        extended = plain_yaml.load(file) if file.exists() else {}
+    except plain_yaml.UnreadableYaml as error:
+        raise InputError(f"{file}: {error}") from None
     stated = {**flatten(run.config.get("prior") or {}), **flatten(extended.get("prior") or {})}
     boxes = {name: (p.low, p.high) for name, p in KNOWN.items()}
     return boxes | {name: (float(low), float(high)) for name, (low, high) in stated.items()}
