@@ -19,8 +19,10 @@ from test_run_script import ENVIRONMENT
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.fleet.attended import attended
+from vehicle_sbi.fleet.diagnoses import Job, diagnosed
 from vehicle_sbi.fleet.engine import Engine, Function, each
 from vehicle_sbi.fleet.vehicles import members
+from vehicle_sbi.report import manifest
 
 OPTIONS = (
     'options=["vehicle=paper","recording.drive=speed","recording.channels=[a_x,a_y,yaw_rate]",'
@@ -135,6 +137,20 @@ def test_what_stands_is_not_done_again_and_what_is_damaged_is(recordings: Path, 
     assert verdicts(alone) == before
     assert (alone / "rolls" / "manifest.json").stat().st_mtime_ns == times["rolls"]
     assert (alone / "stiff" / "manifest.json").stat().st_mtime_ns != times["stiff"]
+
+
+@pytest.mark.parametrize(("code", "said"), [(manifest.code(), ""), ("another", "by another version; remove its")])
+def test_what_another_version_has_answered_is_said(tmp_path: Path, code: str, said: str) -> None:
+    (member,) = members(touched(tmp_path, "a.csv"))
+    job = Job(member=member, folder=tmp_path / "out" / "a", script=Path("none.py"))
+    made = manifest.described(config={}, overrides=[], inputs={}, choices={}) | {"status": "complete", "code": code}
+    job.folder.mkdir(parents=True)
+    (job.folder / "manifest.json").write_text(json.dumps({**made, "seal": manifest.digest(made)}))
+    job.account.write_text(json.dumps({"words": job.words, "seconds": 1.0}))
+    found = diagnosed(job)
+    assert found.answered
+    assert found.reason.startswith(said)
+    assert bool(found.reason) == bool(said)
 
 
 def test_a_vehicle_that_fails_costs_its_own_row_alone(recordings: Path, tmp_path: Path, alone: Path) -> None:

@@ -43,7 +43,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a diagnosis ended: whether there is a verdict, why not, and after how long [s]."""
+    """How a diagnosis ended: whether there is a verdict, why not or of which version, and after how long [s]."""
 
     answered: bool
     reason: str
@@ -82,7 +82,8 @@ def _standing(job: Job) -> Outcome | None:
         intact = all(manifest.intact(Path(file), sealed) for file, sealed in made["inputs"].items())
         whole = all(manifest.intact(job.folder / file, sealed) for file, sealed in made["files"].items())
         if account["words"] == job.words and made["status"] == "complete" and intact and whole:
-            return Outcome(True, "", account["seconds"])
+            other = "" if made["code"] == manifest.code() else "by another version; remove its folder to do it anew"
+            return Outcome(True, other, account["seconds"])
     except (OSError, ValueError, LookupError, TypeError, InputError):
         pass
     return None

@@ -26,7 +26,7 @@ def _row(member: Member, outcome: Outcome, folder: Path) -> dict[str, object]:
     row: dict[str, object] = {
         "vehicle": member.name,
         "recordings": len(member.recordings),
-        "status": "answered" if outcome.answered else f"failed: {outcome.reason}",
+        "status": " ".join(["answered" if outcome.answered else "failed:", outcome.reason]).strip(),
         "seconds": outcome.seconds,
     }
     if not outcome.answered:
