@@ -104,6 +104,7 @@ def test_the_draws_are_those_that_the_verdict_speaks_of(run: Path) -> None:
     assert {name: missing[name] for name in verdict["effects"]} == pytest.approx(verdict["effects"])
 
 
+@pytest.mark.slow
 def test_the_extended_model_is_a_configuration_of_run(run: Path, tmp_path: Path) -> None:
     # By the command that is printed; free is what is so in the base model and the effect, not in run.py.
     written_down = yaml.safe_load((run / "extended.yaml").read_text())
@@ -254,6 +255,7 @@ def test_every_stage_that_was_kept_is_written_again_as_it_was_read(run: Path, tm
         assert again.read_bytes() == path.read_bytes()
 
 
+@pytest.mark.slow
 def test_what_is_no_stage_is_not_run_and_its_stage_is_done_anew(run: Path, tmp_path: Path) -> None:
     # One stage is a pickle that would write a file, of another a byte is wrong: it says so, and the answer is the same.
     folder, sprung = tmp_path / "run", tmp_path / "sprung"

@@ -128,6 +128,7 @@ def test_the_table_has_a_row_for_each_vehicle_with_what_its_verdict_says(alone: 
     assert all(name in page for name in table.index)
 
 
+@pytest.mark.slow
 def test_what_stands_is_not_done_again_and_what_is_damaged_is(recordings: Path, alone: Path) -> None:
     before = verdicts(alone)
     (alone / "stiff" / "verdict.json").write_text("{}")

@@ -13,9 +13,6 @@ from vehicle_sbi.mismatch.pipeline import STEPS, steps
 from vehicle_sbi.mismatch.problem.case import Case
 from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.extended import command, extended
-from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts
-from vehicle_sbi.report.page.diagnosis import page_of
-from vehicle_sbi.report.page.page import write_page
 from vehicle_sbi.report.run_folder import RunFolder
 from vehicle_sbi.report.stage_file import read
 from vehicle_sbi.report.stage_file import write as write_stage
@@ -69,6 +66,10 @@ def write(folder: RunFolder, case: Case, found: Found, answer: Verdict) -> None:
 
 def write_report(folder: RunFolder, case: Case, found: Found, answer: Verdict) -> None:
     """Pictures and the page."""
+    from vehicle_sbi.report.mismatch_figures import held_out_figure, probabilities, residuals, shifts  # seconds
+    from vehicle_sbi.report.page.diagnosis import page_of
+    from vehicle_sbi.report.page.page import write_page
+
     figures = folder.path / "figures"
     figures.mkdir(exist_ok=True)
     residuals(found, answer, figures / "residuals.png")
