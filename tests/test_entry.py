@@ -265,6 +265,11 @@ def test_threads_are_set_before_numpy_is_imported_whatever_the_environment_says(
         assert subprocess.check_output(call, env=environment | {"OMP_NUM_THREADS": threads}, text=True) == "1 set()\n"
 
 
+def test_the_environment_of_a_job_may_be_typed(folder: Path) -> None:
+    done = run(folder, "+hydra.job.env_set.SAID=1")
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize(("name", "said"), [("deep", "nested deeper than 50 levels"), ("aliases", "more than 100,000")])
 def test_a_file_that_stands_for_more_than_a_configuration_gets_one_line(folder: Path, name: str, said: str) -> None:
     done = run(folder, f"--config-dir={name}", "experiment=one")
