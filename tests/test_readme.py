@@ -51,7 +51,7 @@ def test_the_readme_is_short_and_its_six_numbers_are_those_of_the_whole_cars() -
 def sentences(page: str) -> list[str]:
     """Of the paragraphs of a page, without tables, headings and code; a name in backticks is one word."""
     told = re.sub(r"`[^`]*`", "name", re.sub(r"```.*?```", "", page, flags=re.DOTALL))
-    lines = [line for line in told.splitlines() if not line.lstrip().startswith(("|", "#", "!", "    "))]
+    lines = [line for line in told.splitlines() if not line.lstrip().startswith(("|", "#", "!"))]
     told = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", "\n".join(lines))
     return [
         one for part in re.split(r"\n\s*\n|\n- ", told) for one in re.split(r"(?<=[.!?:])\s+", " ".join(part.split()))

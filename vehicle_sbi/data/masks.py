@@ -38,7 +38,7 @@ def _liveliness(recording: Recording, stretch: Int[np.ndarray, " time"], count: 
     """Variance of steering and speed in each stretch, in units of the whole recording's; `stretch` is each sample's."""
     lively = np.zeros(count)
     for names in LIVELINESS:
-        recorded = next((series for name in names if (series := recording.series(name)) is not None), None)
+        recorded = _first(recording, names)
         if recorded is None:
             continue
         values, valid = np.nan_to_num(recorded[0]), recorded[1]
@@ -58,8 +58,15 @@ def liveliest_of(recordings: Sequence[Recording], most: int) -> list[int]:
 
 def _variance(recording: Recording, names: Sequence[str]) -> float:
     """Of the first of these channels that was recorded; 0 without."""
-    recorded = next((series for name in names if (series := recording.series(name)) is not None), None)
+    recorded = _first(recording, names)
     return float(np.var(recorded[0][recorded[1]])) if recorded is not None and recorded[1].any() else 0.0
+
+
+def _first(
+    recording: Recording, names: Sequence[str]
+) -> tuple[Float[np.ndarray, " time"], Bool[np.ndarray, " time"]] | None:
+    """Values and validity of the first of these channels that was recorded."""
+    return next((series for name in names if (series := recording.series(name)) is not None), None)
 
 
 def holdout(
