@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parent.parent
 ORDER = """
 errors plain_yaml files checkpoints parameters rng rounding words compiled
 physics.vehicle physics.size physics.tyre physics.magic_formula physics.signals physics.effects physics.sensors
-physics.balance physics.axle physics.single_track physics.full_vehicle physics.simulation
+physics.balance physics.axle physics.single_track physics.full_vehicle physics.rolling physics.simulation
 data.channels data.recording data.masks data.smoothing data.windows data.cutting data.checks.drive data.checks.limits
 data.checks.units data.checks.signs data.checks.offsets data.checks.shifts data.checks.samples data.plausibility
 data.units data.formats.limits data.formats.table data.formats.lines data.formats.text data.formats.vbo

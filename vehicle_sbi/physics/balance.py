@@ -71,10 +71,11 @@ def pulls(p, out: Outside, front: Front, a_x: float) -> tuple[float, float]:
 
 
 @compiled
-def secant_step(iteration: int, off: float, before: float) -> float:
-    """A step of a secant iteration whose residual is `off` now and was `before`, no more than twice as far."""
-    ratio = off / before if 0 < iteration < SECANTS and abs(off) < 0.5 * abs(before) else 0.0
-    return off / (1.0 - ratio)
+def secant_step(off: float, before: float, went: float) -> float:
+    """A step of a secant iteration whose residual is `off` now and was `before`, a step `went` ago, no more than twice
+    as far as the residual."""
+    share = went / (before - off) if before != off else 1.0
+    return off * (share if 0.0 < share < 2.0 else 1.0)
 
 
 @compiled
@@ -104,7 +105,7 @@ def settled(forces, p, car, a_x: float, a_y: float, r_dot: float):
     """
     slope = 1.0 + (1.0 - car.share_f) * steering_compliance(p, p.stiff_f * p.C_alpha_f)
     front, twist, iteration = pointing(car.outside.delta, (p.mass * p.l_rear * a_y + p.I_z * r_dot) / p.L), 0.0, 0
-    before_x = before_y = before_turn = before_side = led_x = led_y = led_twist = 0.0
+    before_x = before_y = before_turn = before_side = went_side = led_x = led_y = led_twist = 0.0
     while True:
         p.search = HASTY if iteration < UNTIL[0] else WHOLE if iteration < UNTIL[1] else KEPT
         found = forces(p, car, front, a_x, a_y)
@@ -120,7 +121,8 @@ def settled(forces, p, car, a_x: float, a_y: float, r_dot: float):
             return found, front, math.nan, a_y
         back = extrapolated(iteration, off_x, off_y, turn, before_x, before_y, before_turn)
         part = 1.0 if iteration < SECANTS else 0.5
-        side, before_side = front.side + secant_step(iteration, off_side, before_side), off_side
+        went_side, before_side = secant_step(off_side, before_side, went_side), off_side
+        side = front.side + went_side
         before_x, before_y, before_turn = off_x, off_y, turn
         a_x, led_x = a_x + part * off_x - back * (a_x + off_x - led_x), a_x + off_x
         a_y, led_y = a_y + part * off_y - back * (a_y + off_y - led_y), a_y + off_y

@@ -49,6 +49,12 @@ OMEGA, KAPPA, ALPHA = 7, 7 + WHEELS, 7 + 2 * WHEELS  # the first of four each
 
 
 @compiled
+def ground(p, state, wheel: int) -> float:
+    """Speed [m/s] of the car above a wheel."""
+    return state[V_X] - state[R] * place(p, wheel)[1]
+
+
+@compiled
 def states(_) -> int:
     """How many of the states change anything."""
     return STATES

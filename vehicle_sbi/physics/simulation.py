@@ -15,6 +15,7 @@ from numba import njit, prange
 from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.effects import CATALOGUE, derive, latent_sensor, latent_steering, steer, torques
+from vehicle_sbi.physics.rolling import put, renew, roll, slipping_wheels
 from vehicle_sbi.physics.sensors import (
     MEASUREMENTS,
     MOTION,
@@ -54,6 +55,7 @@ SENSOR_FIELDS = frozenset(
     for name in p.fields
 ) | {"latent_sensor", "latent_row"}  # what sensors make of a motion
 REPORTED_FIELDS = frozenset(name for name in SENSOR_FIELDS if name.startswith(("sensor_lag", "sensor_delay")))
+ROLLING = 4.0  # parts of how fast wheels settle: a step takes all of it exactly but for the curves of their tyres
 RIGID = 4.0  # times the fastest mode without relaxation, from which a lag of that rate hardly changes it
 
 
@@ -97,10 +99,11 @@ def outcome_at(motion, k: int) -> int:
 def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps: int, initial, motion) -> int:
     """Integrate one window and record MOTION at every sample; returns FINISHED, SPUN_OUT or NOT_FINITE.
 
-    Between samples `substeps` classical Runge-Kutta steps of fourth order, inputs being linear. stiffness_noise
-    (draws, 4) is added to (C_kappa_f, C_kappa_r, C_alpha_f, C_alpha_r) [N, N/rad]: one draw for the whole window, or
-    one per sample. The rate of one stage is where the next one's loops start. The four stages share one call of the
-    equations of motion, which is then compiled in place: a quarter of the code, and arrays without reference counts.
+    Between samples `substeps` Runge-Kutta steps of fourth order, classical but for wheels that turn freely (`rolling`),
+    inputs being linear. stiffness_noise (draws, 4) is added to (C_kappa_f, C_kappa_r, C_alpha_f, C_alpha_r) [N, N/rad]:
+    one draw for the whole window, or one per sample. The rate of one stage is where the next one's loops start. The
+    four stages share one call of the equations of motion, which is then compiled in place: a quarter of the code, and
+    arrays without reference counts.
     """
     C = (p.C_kappa_f, p.C_kappa_r, p.C_alpha_f, p.C_alpha_r)
     state, trial, rate, total = (
@@ -109,6 +112,7 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
     now, h, outcome, states = np.zeros(u.shape[1]), dt / substeps, FINISHED, model.states(p)
     p.step = h
     p.split_f = p.split_r = p.slope_f = p.slope_r = 0.0
+    wheels = slipping_wheels(model.WHEELS)
     for evaluation in range(4 * substeps * (u.shape[0] - 1) + 1):
         step, stage = evaluation // 4, evaluation % 4
         k, share = step // substeps, 0.5 * ((stage + 1) // 2)
@@ -119,6 +123,11 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
         if evaluation == 0:
             model.start(p, drive, now, initial, state)
         advance(states, state, rate, share * h, trial)
+        if drive == TORQUE:
+            if stage > 0:
+                put(model, p, wheels, wheels.moved, state, trial)
+            else:
+                renew(model, p, now, state, h, wheels)
         model.impose(p, drive, now, trial)
         model.derivatives(p, drive, now, trial, rate)
         if sampled:
@@ -129,7 +138,12 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
         weight = h / 6.0 if stage % 3 == 0 else h / 3.0
         for i in range(states):
             total[i] = weight * rate[i] + (trial[i] if stage == 0 else total[i])
-            state[i] = total[i] if stage == 3 else state[i]
+        if drive == TORQUE:
+            roll(model, p, wheels, stage, rate)
+        if stage == 3:
+            if drive == TORQUE:
+                put(model, p, wheels, wheels.arrived, state, total)
+            advance(states, total, total, 0.0, state)
     p.C_kappa_f, p.C_kappa_r, p.C_alpha_f, p.C_alpha_r = C
     return outcome
 
@@ -302,14 +316,14 @@ class Motions(NamedTuple):
 
 
 def fastest_rate(record: np.void, drive: str, v_min: float, model: str = "single_track") -> float:
-    """The fastest eigenvalue [1/s] of the model linearised about straight driving at v_min, tyres vertically rigid.
+    """The fastest rate [1/s] that a step has to follow, about straight driving at v_min, tyres vertically rigid.
 
-    An upper bound without relaxation, good to a fifth with it. The wheels' slip modes are no faster than
-    R^2 C_kappa / (I_w v) + sum(C_kappa) / (m v), the body between recorded wheels has the last term, and the lateral
-    pair has a known trace and determinant (Rajamani, sec. 2.5). Behind a relaxation of rate c = v/sigma a mode of rate
-    d becomes s^2 + c s + c d = 0, whose roots are sqrt(c d) where they oscillate and below c where they do not; from
-    c = 4 d on the slower one is that of the body, and the lag itself is no faster than its share allows. In the
-    full vehicle the tyres move less than all of m, the body swinging on its springs; it does so against the rest.
+    Those of the lateral pair have a known trace and determinant (Rajamani, sec. 2.5), the body on its wheels has
+    sum(C_kappa) / (m v), and wheels that turn freely have R^2 C_kappa / (I_w v), of which a step has to follow one part
+    in ROLLING. Behind a relaxation of rate c = v/sigma a mode of rate d becomes s^2 + c s + c d = 0, whose roots are
+    sqrt(c d) where they oscillate and below c where they do not; from c = 4 d on the slower one is that of the body,
+    and the lag itself is no faster than its share allows. In the full vehicle the tyres move less than all of m, the
+    body swinging on its springs; it does so against the rest.
     """
     records, v = np.array([record]), max(v_min, 1.0)
     derive(records[0])
@@ -330,14 +344,15 @@ def fastest_rate(record: np.void, drive: str, v_min: float, model: str = "single
     determinant = p["L"] ** 2 * C_f * C_r / (m_y * I_z * v**2) + (l_r * C_r - l_f * C_f) / I_z
     rigid = [_faster_root(trace, determinant)]
     if drive != "speed":
-        rigid.append(sum(C_kappa.values()) / (m_x * v))
-    if drive == "torque":
-        along = rigid[1] + turning
-        rigid += [along + p[f"R_{a}"] ** 2 * C_kappa[a[0]] / (p[f"I_w{a[0]}"] * v) for a in ("front", "rear")]
+        rigid.append(sum(C_kappa.values()) / (m_x * v) + (turning if drive == "torque" else 0.0))
     sigma = min(p["sigma_f"], p["sigma_r"])
     lag = 0.0 if sigma == 0.0 else min(v / sigma, RIGID * max(rigid))
     behind = rigid if sigma == 0.0 else [lag, np.sqrt(lag * max(rigid))]
-    return max([*swinging, *behind])
+    rolling = [p[f"R_{a}"] ** 2 * C_kappa[a[0]] / (p[f"I_w{a[0]}"] * v) for a in ("front", "rear")]
+    wheels = max(rolling) if drive == "torque" else 0.0
+    if sigma > 0.0:
+        wheels = min(wheels, np.sqrt(v / sigma * wheels))
+    return max([*swinging, *behind, wheels / ROLLING])
 
 
 def _faster_root(trace: float, determinant: float) -> float:
@@ -349,7 +364,7 @@ def _faster_root(trace: float, determinant: float) -> float:
 def substeps_for(
     records: np.ndarray, drive: str, v_min: float, rate: float, limit: float = 1.0, model: str = "single_track"
 ) -> int:
-    """Runge-Kutta steps per sample so that step times fastest eigenvalue stays below `limit` for every record.
+    """Runge-Kutta steps per sample so that step times fastest rate stays below `limit` for every record.
 
     At 1 the fourth-order method is far inside its stability bound of 2.78 and its error per step in that mode is
     below 1/5! of the mode's amplitude, in the modes that matter to the sensors orders of magnitude less.

@@ -40,6 +40,7 @@ DELTA, T_F, T_R, U_V_X, U_V_X_DOT, U_OMEGA_F, U_OMEGA_R, TIME, U_LATENT = range(
 
 STATES = 13
 V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_FR, ALPHA_RR, ALPHA_FL, ALPHA_RL, LEAN, LEANING = range(STATES)
+WHEELS, OMEGA, KAPPA = 2, OMEGA_F, KAPPA_F  # one an axle, and the first of their states
 ALIKE = 9  # of these states a car has whose wheels are alike
 
 STEEPEST = 1.5  # [rad], the largest slip angle whose tangent is taken
@@ -66,6 +67,12 @@ def wheel_torque(torque: float, omega: float) -> float:
     if omega <= -1.0:
         return -torque
     return torque * omega * (2.0 - abs(omega))
+
+
+@compiled
+def torque_slope(torque: float, omega: float) -> float:
+    """By how much a brake's torque [N m] falls per rad/s of a wheel's speed, where it fades."""
+    return -2.0 * torque * max(1.0 - abs(omega), 0.0) if torque < 0.0 else 0.0
 
 
 @compiled
@@ -244,6 +251,12 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
 def damping(p) -> float:
     """Acceleration [m/s^2] that dampers stand for, per unit of the lean's rate [s]."""
     return 2.0 * p.lateral_load_transfer_damping * lean_period(p)
+
+
+@compiled
+def ground(_, state, __: int) -> float:
+    """Speed [m/s] of the car above a wheel."""
+    return state[V_X]
 
 
 @compiled
