@@ -1,5 +1,6 @@
 """Laws of recordings and of their channels."""
 
+import numpy as np
 import pytest
 from made_up import recording
 
@@ -17,3 +18,21 @@ def test_a_recording_refuses_unknown_channels():
     rec = recording()
     with pytest.raises(InputError, match="unknown channel 'ay'"):
         Recording(**{**vars(rec), "channels": {"ay": rec.t}, "valid": {"ay": rec.t > 0}})
+
+
+def test_a_recording_is_shown_as_a_row_a_channel_with_what_was_noted():
+    t = np.arange(4) / 10.0
+    speed, absent = np.array([1.0, 2.0, 99.0, 3.0]), np.full(4, np.nan)
+    rec = Recording(
+        name="a <b>", rate=10.0, t=t, channels={"v_x": speed, "a_y": absent}, groups={}, source="a.csv", sha256="",
+        valid={"v_x": speed < 50.0, "a_y": np.zeros(4, bool)}, notes=("v_x: 1 spike < flagged",),
+    )  # fmt: skip
+    table = rec.table.set_index("channel")
+    assert table.loc["v_x", ["unit", "measured", "least", "most"]].tolist() == ["m/s", 0.75, 1.0, 3.0]
+    assert table.loc["a_y", "measured"] == 0.0
+    assert table.loc["a_y", ["least", "most"]].isna().all()
+    text, page = repr(rec), rec._repr_html_()
+    assert text.splitlines()[0] == "a <b>: 0.4 s at 10 Hz"
+    assert text.splitlines()[-1] == "v_x: 1 spike < flagged"
+    assert "a &lt;b&gt;: 0.4 s" in page
+    assert "<p>v_x: 1 spike &lt; flagged</p>" in page

@@ -6,15 +6,17 @@ model, it is never fitted), or absent (NaN and not valid).
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from html import escape
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float
 
 from vehicle_sbi.data.channels import AXLE_MEANS, CHANNELS
 from vehicle_sbi.errors import InputError, unknown
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Recording:
     """Channels on a uniform grid `t` [s] at `rate` [Hz]; `notes` lists what was filled, left out, resampled, flagged.
 
@@ -81,3 +83,26 @@ class Recording:
     def present_s(self) -> float:
         """How long anything was recorded [s]."""
         return float(self.present.sum() / self.rate)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row each channel: its unit and sensor group, which share of it was measured, and the range of that."""
+        rows = []
+        for name, values in self.channels.items():
+            measured = pd.Series(values[self.valid[name]])
+            share, unit = float(self.valid[name].mean()), CHANNELS[name].unit
+            rows.append((name, unit, self.group(name), share, measured.min(), measured.max()))
+        return pd.DataFrame(rows, columns=["channel", "unit", "group", "measured", "least", "most"])
+
+    @property
+    def _heading(self) -> str:
+        return f"{self.name}: {len(self.t) / self.rate:.4g} s at {self.rate:g} Hz"
+
+    def __repr__(self) -> str:
+        table = self.table.to_string(index=False, float_format="{:.4g}".format)
+        return "\n".join([self._heading, table, *self.warnings, *self.notes])
+
+    def _repr_html_(self) -> str:
+        table = self.table.to_html(index=False, float_format="{:.4g}".format, border=0)
+        lines = "".join(f"<p>{escape(line)}</p>" for line in (*self.warnings, *self.notes))
+        return f"<h4>{escape(self._heading)}</h4>{table}{lines}"

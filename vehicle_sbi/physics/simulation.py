@@ -55,7 +55,7 @@ SENSOR_FIELDS = frozenset(
     for name in p.fields
 ) | {"latent_sensor", "latent_row"}  # what sensors make of a motion
 REPORTED_FIELDS = frozenset(name for name in SENSOR_FIELDS if name.startswith(("sensor_lag", "sensor_delay")))
-ROLLING = 4.0  # parts of how fast wheels settle: a step takes all of it exactly but for the curves of their tyres
+ROLLING = 3.0  # parts of how fast wheels settle: a step takes all of it exactly but for the curves of their tyres
 RIGID = 4.0  # times the fastest mode without relaxation, from which a lag of that rate hardly changes it
 
 
@@ -350,9 +350,8 @@ def fastest_rate(record: np.void, drive: str, v_min: float, model: str = "single
     behind = rigid if sigma == 0.0 else [lag, np.sqrt(lag * max(rigid))]
     rolling = [p[f"R_{a}"] ** 2 * C_kappa[a[0]] / (p[f"I_w{a[0]}"] * v) for a in ("front", "rear")]
     wheels = max(rolling) if drive == "torque" else 0.0
-    if sigma > 0.0:
-        wheels = min(wheels, np.sqrt(v / sigma * wheels))
-    return max([*swinging, *behind, wheels / ROLLING])
+    settling = wheels / ROLLING if sigma == 0.0 else min(wheels / ROLLING, np.sqrt(v / sigma * wheels))
+    return max([*swinging, *behind, settling])
 
 
 def _faster_root(trace: float, determinant: float) -> float:
