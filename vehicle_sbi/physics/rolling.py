@@ -167,7 +167,7 @@ def held(model, axle: int, torque: float, state) -> float:
 
 
 @compiled
-def renew(model, p, u, state, h: float, wheels: Slipping) -> None:
+def linearise_wheels(model, p, u, state, h: float, wheels: Slipping) -> None:
     """Take the linear part at a state for steps of h [s], unless that of before is near enough."""
     v, taken_at = regular(state[V_X]), wheels.taken_at
     b_f, b_r = held(model, 0, u[T_F], state) / p.I_wf, held(model, 1, u[T_R], state) / p.I_wr
@@ -186,7 +186,7 @@ def take(p, h: float, wheels: Slipping) -> None:
 
 
 @compiled
-def put(model, p, wheels: Slipping, moved, state, out) -> None:
+def set_wheels(model, p, wheels: Slipping, moved, state, out) -> None:
     """Fill the wheels of the state `out`, whose car stands already, so far from those of `state`."""
     for w in range(model.WHEELS):
         spin, slip = model.OMEGA + w, model.KAPPA + w
@@ -204,7 +204,7 @@ def weighted(weights, axle: int, which: int, x: float, y: float) -> tuple[float,
 
 
 @compiled
-def roll(model, p, wheels: Slipping, stage: int, rate) -> None:
+def roll_wheels(model, p, wheels: Slipping, stage: int, rate) -> None:
     """Go on from a stage of the step, whose d(state)/dt is `rate`."""
     A, weights, begun, moved, arrived = wheels.A, wheels.weights, wheels.begun, wheels.moved, wheels.arrived
     for w in range(model.WHEELS):

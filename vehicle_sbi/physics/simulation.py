@@ -15,7 +15,7 @@ from numba import njit, prange
 from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.effects import CATALOGUE, derive, latent_sensor, latent_steering, steer, torques
-from vehicle_sbi.physics.rolling import put, renew, roll, slipping_wheels
+from vehicle_sbi.physics.rolling import linearise_wheels, roll_wheels, set_wheels, slipping_wheels
 from vehicle_sbi.physics.sensors import (
     MEASUREMENTS,
     MOTION,
@@ -125,9 +125,9 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
         advance(states, state, rate, share * h, trial)
         if drive == TORQUE:
             if stage > 0:
-                put(model, p, wheels, wheels.moved, state, trial)
+                set_wheels(model, p, wheels, wheels.moved, state, trial)
             else:
-                renew(model, p, now, state, h, wheels)
+                linearise_wheels(model, p, now, state, h, wheels)
         model.impose(p, drive, now, trial)
         model.derivatives(p, drive, now, trial, rate)
         if sampled:
@@ -139,11 +139,12 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
         for i in range(states):
             total[i] = weight * rate[i] + (trial[i] if stage == 0 else total[i])
         if drive == TORQUE:
-            roll(model, p, wheels, stage, rate)
+            roll_wheels(model, p, wheels, stage, rate)
         if stage == 3:
             if drive == TORQUE:
-                put(model, p, wheels, wheels.arrived, state, total)
-            advance(states, total, total, 0.0, state)
+                set_wheels(model, p, wheels, wheels.arrived, state, total)
+            for i in range(states):
+                state[i] = total[i]
     p.C_kappa_f, p.C_kappa_r, p.C_alpha_f, p.C_alpha_r = C
     return outcome
 
