@@ -104,6 +104,6 @@ def test_a_racelogic_box_has_its_own_units_and_turns_to_the_right(tmp_path, imu)
     wheel = found.channels["steering_wheel"]
     np.testing.assert_allclose(wheel, 15.0 * DRIVE["steering"](found.t), atol=1e-4)
     others = replace(found, channels={name: one for name, one in found.channels.items() if name != "steering_wheel"})
-    steps = dict.fromkeys(("v_x", "a_x", "a_y", *(("yaw_rate",) if imu else ())), 0.01)
+    steps: dict[str, float] = dict.fromkeys(["v_x", "a_x", "a_y", *(["yaw_rate"] if imu else [])], 0.01)
     assert_is_the_drive(others, steps, rounding=2e-8)
     assert any("derived from GPS" in note for note in found.notes) is not imu

@@ -27,10 +27,11 @@ def test_a_recording_is_shown_as_a_row_a_channel_with_what_was_noted():
         name="a <b>", rate=10.0, t=t, channels={"v_x": speed, "a_y": absent}, groups={}, source="a.csv", sha256="",
         valid={"v_x": speed < 50.0, "a_y": np.zeros(4, bool)}, notes=("v_x: 1 spike < flagged",),
     )  # fmt: skip
-    table = rec.table.set_index("channel")
-    assert table.loc["v_x", ["unit", "measured", "least", "most"]].tolist() == ["m/s", 0.75, 1.0, 3.0]
-    assert table.loc["a_y", "measured"] == 0.0
-    assert table.loc["a_y", ["least", "most"]].isna().all()
+    speed_row, absent_row = rec.table.to_dict("records")
+    shown = {"channel": "v_x", "unit": "m/s", "group": "can", "measured": 0.75, "least": 1.0, "most": 3.0}
+    assert speed_row == shown
+    assert absent_row["measured"] == 0.0
+    assert np.isnan([absent_row["least"], absent_row["most"]]).all()
     text, page = repr(rec), rec._repr_html_()
     assert text.splitlines()[0] == "a <b>: 0.4 s at 10 Hz"
     assert text.splitlines()[-1] == "v_x: 1 spike < flagged"

@@ -160,7 +160,8 @@ def test_wheels_count_by_a_part() -> None:
     # The same car, its wheels half as heavy: as many more steps, of which wheels as fast as the rest need none.
     heavy, light = (record_of(RIGID, I_wf=1.7 * k, I_wr=1.7 * k)[0] for k in (1.0, 0.5))
     assert fastest_rate(light, "torque", 5.0) == pytest.approx(2.0 * fastest_rate(heavy, "torque", 5.0), rel=1e-12)
-    expected = RIGID.R_f**2 * max(RIGID.C_kappa_f, RIGID.C_kappa_r) / (1.7 * 5.0) / ROLLING
+    stiffest = max(heavy["C_kappa_f"], heavy["C_kappa_r"])
+    expected = heavy["R_f"] ** 2 * stiffest / (1.7 * 5.0) / ROLLING
     assert fastest_rate(heavy, "torque", 5.0) == pytest.approx(expected, rel=1e-12)
 
 
