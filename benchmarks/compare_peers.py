@@ -50,14 +50,16 @@ SIMULATED, REPEATS, BY_COMMONROAD = 1000, 7, 2
 STUDIES = {"paper_mild": 520, "paper_strong": 525}  # both are development seeds
 ROUNDS, A_ROUND = 5, 5000  # of the plain script, the paper's
 WARM_UP, KEPT = 300, 1000  # of NUTS
-UNLIKE = 0.01  # [m/s^2, rad/s], a tenth of what wheel speeds' sensors scatter
 
 
 # --- the simulator --------------------------------------------------------------------------------------------------
 
 
 def contenders() -> dict[str, tuple[int, Callable[[], object]]]:
-    """How many simulations each makes in a turn, and how; all but CommonRoad's are checked to agree."""
+    """How many simulations each makes in a turn, and how; all but CommonRoad's solve the same equations.
+
+    `tests/test_peers.py` checks that to single precision, at steps where both ways of integrating wheels have converged.
+    """
     from vehicle_sbi.physics.sensors import GROUPS
     from vehicle_sbi.physics.simulation import Motions, batch_simulator
     from vehicle_sbi.physics.single_track import DRIVES
@@ -83,9 +85,6 @@ def contenders() -> dict[str, tuple[int, Callable[[], object]]]:
         "C, -O3 -march=native": (SIMULATED, lambda: in_c(cars, v_0, u, bench.RATE, 1)),
         "numpy over simulations": (SIMULATED, lambda: in_numpy.simulated(u, bench.RATE)),
     }
-    series = [np.asarray(run()) for _, run in found.values()]
-    for other in series[1:]:  # as far as wheels by the classical method go; where that has converged, a test says more
-        assert np.sqrt(((other - series[0]) ** 2).mean(axis=2)).max() < UNLIKE
     return {**found, "CommonRoad's single-track model": (BY_COMMONROAD, lambda: by_commonroad(v_0[:BY_COMMONROAD], u))}
 
 
