@@ -58,7 +58,7 @@ WARM_UP, KEPT = 300, 1000  # of NUTS
 def contenders() -> dict[str, tuple[int, Callable[[], object]]]:
     """How many simulations each makes in a turn, and how; all but CommonRoad's solve the same equations.
 
-    `tests/test_peers.py` checks that to single precision, at steps where both ways of integrating wheels have converged.
+    `tests/test_peers.py` checks that to single precision, at steps where both ways to integrate wheels have converged.
     """
     from vehicle_sbi.physics.sensors import GROUPS
     from vehicle_sbi.physics.simulation import Motions, batch_simulator
