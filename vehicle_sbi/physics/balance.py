@@ -2,9 +2,9 @@
 
 Forces of the tyres accelerate the car, accelerations move load between the wheels, and load changes the forces; the
 front axle's side force turns compliant wheels back, which changes it too. Where the speed is given, it also holds the
-car back, and tyres drive against it with grip that they lack across. What solves all of it is a fixed point in
-(a_x, a_y, twist): plain iteration, whose factor is below mu h / L, mixed with its step before (Anderson's mixing of
-depth one, in one unknown the secant method, by which the side force is found beside them).
+car back, and tyres drive against it with grip that they lack across. What solves all of it is a fixed point in a_x, a_y
+and the front axle's side force, found by Broyden's method (1965): steps go by the inverse of how residuals answer,
+which each step corrects. That changes little from one moment to the next, so the next loop begins with it.
 """
 
 import math
@@ -16,11 +16,28 @@ from vehicle_sbi.physics.effects import body_load, downforce, friction_step, roa
 TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2  # drive modes: what is given
 LOAD_TOLERANCE = 1e-9  # [m/s^2], where the loop between load transfer and longitudinal force stops
 TWIST_TOLERANCE = 1e-12  # [rad], where that between side force and steering compliance does
-TWIST_WEIGHT = 1e3  # [m/s^2 per rad], what makes the two comparable
 LOAD_ITERATIONS = 100
 HASTY, WHOLE, KEPT = 0, 1, 2  # how `forces` solves for what is its own: by and by, at once, or no more
 UNTIL = (6, 20)  # iterations from which on it is at once, and no more
-SECANTS = 30  # of which the first so many extrapolate, the others go half the way
+EXTRAPOLATED = 30  # iterations after which steps go half the way of plain iteration
+LEAST_ANSWER = 0.1  # of a step, by which its residuals fall at least to what is learned of them
+
+
+class Three(NamedTuple):
+    """The unknowns of the loop, or their residuals [m/s^2]: accelerations along and across the car, and the side force
+    of the front axle over the mass."""
+
+    x: float
+    y: float
+    side: float
+
+
+class Inverse(NamedTuple):
+    """How far each unknown goes on for each residual."""
+
+    x: Three
+    y: Three
+    side: Three
 
 
 class Outside(NamedTuple):
@@ -71,62 +88,111 @@ def pulls(p, out: Outside, front: Front, a_x: float) -> tuple[float, float]:
 
 
 @compiled
-def secant_step(off: float, before: float, went: float) -> float:
-    """A step of a secant iteration whose residual is `off` now and was `before`, a step `went` ago, no more than twice
-    as far as the residual."""
-    share = went / (before - off) if before != off else 1.0
-    return off * (share if 0.0 < share < 2.0 else 1.0)
+def dot(a: Three, b: Three) -> float:
+    return a.x * b.x + a.y * b.y + a.side * b.side
 
 
 @compiled
-def extrapolated(iteration: int, off_x: float, off_y: float, turn: float, x: float, y: float, z: float) -> float:
-    """Share of the step before in the next one of a fixed-point iteration, whose residuals are (off_x, off_y [m/s^2],
-    turn [rad]) now and were (x, y, z) then.
+def plus(a: Three, share: float, b: Three) -> Three:
+    """a and a share of b."""
+    return Three(a.x + share * b.x, a.y + share * b.y, a.side + share * b.side)
 
-    It ends where plain iteration creeps (a tall car on one axle that slips) or runs away (a very compliant steering).
+
+@compiled
+def times(inverse: Inverse, off: Three) -> Three:
+    return Three(dot(inverse.x, off), dot(inverse.y, off), dot(inverse.side, off))
+
+
+@compiled
+def corrected(inverse: Inverse, step: Three, fell: Three) -> Inverse:
+    """The inverse that also holds for a step by which residuals `fell`, as far as they fell by LEAST_ANSWER of it.
+
+    The least change that does so; what keeps it regular where they hardly fall is Powell's (1970).
     """
-    if iteration == 0 or iteration >= SECANTS:
-        return 0.0
-    turn, z = TWIST_WEIGHT * turn, TWIST_WEIGHT * z
-    size = (off_x - x) ** 2 + (off_y - y) ** 2 + (turn - z) ** 2
-    share = ((off_x - x) * off_x + (off_y - y) * off_y + (turn - z) * turn) / size if size > 0.0 else 0.0
-    return min(max(share, -9.0), 0.9)
+    said, size = times(inverse, fell), dot(step, step)
+    if size == 0.0:
+        return inverse
+    along = dot(step, said) / size
+    part = 1.0 if along >= LEAST_ANSWER else (1.0 - LEAST_ANSWER) / (1.0 - along)
+    change = plus(step, -1.0, said)
+    row = plus(plus(plus(Three(0.0, 0.0, 0.0), step.x, inverse.x), step.y, inverse.y), step.side, inverse.side)
+    share = part / (size * (1.0 - part * (1.0 - along)))
+    return Inverse(
+        plus(inverse.x, share * change.x, row),
+        plus(inverse.y, share * change.y, row),
+        plus(inverse.side, share * change.side, row),
+    )
 
 
 @compiled
-def settled(forces, p, car, a_x: float, a_y: float, r_dot: float):
+def plain() -> Inverse:
+    """Plain iteration: each unknown goes on by its residual."""
+    return Inverse(Three(1.0, 0.0, 0.0), Three(0.0, 1.0, 0.0), Three(0.0, 0.0, 1.0))
+
+
+@compiled
+def kept(p) -> Inverse:
+    """What the last loop has learned, plain iteration where there was none."""
+    return Inverse(
+        Three(1.0 + p.inverse_xx, p.inverse_xy, p.inverse_xs),
+        Three(p.inverse_yx, 1.0 + p.inverse_yy, p.inverse_ys),
+        Three(p.inverse_sx, p.inverse_sy, 1.0 + p.inverse_ss),
+    )
+
+
+@compiled
+def keep(p, inverse: Inverse) -> None:
+    """For the next loop."""
+    p.inverse_xx, p.inverse_xy, p.inverse_xs = inverse.x.x - 1.0, inverse.x.y, inverse.x.side
+    p.inverse_yx, p.inverse_yy, p.inverse_ys = inverse.y.x, inverse.y.y - 1.0, inverse.y.side
+    p.inverse_sx, p.inverse_sy, p.inverse_ss = inverse.side.x, inverse.side.y, inverse.side.side - 1.0
+
+
+@compiled
+def forget(p) -> None:
+    """What loops have kept, where a window begins."""
+    p.split_f = p.split_r = p.slope_f = p.slope_r = p.side_f = 0.0
+    keep(p, plain())
+
+
+@compiled
+def settled(forces, p, car, a_x: float, a_y: float):
     """What `forces(p, car, front, a_x, a_y)` finds at the accelerations [m/s^2] and the side force of the front wheels
     that it causes, where these point then, and the accelerations.
 
     `forces` returns accelerations a_x, a_y, whether they are `final`, so that it would find the same forces under them,
-    whether what it solves for itself is found (`even`), and the front axle's side force F_yf; a_x, a_y and the yaw
-    acceleration r_dot [rad/s^2] on entry are the guess from which the loop starts. Compliant wheels are solved for with
-    the tyre's slope at the origin. NaN if the loop does not end.
+    whether what it solves for itself is found (`even`), and the front axle's side force F_yf; the loop starts from a_x,
+    a_y and the side force that it found last. NaN if it does not end.
     """
-    slope = 1.0 + (1.0 - car.share_f) * steering_compliance(p, p.stiff_f * p.C_alpha_f)
-    front, twist, iteration = pointing(car.outside.delta, (p.mass * p.l_rear * a_y + p.I_z * r_dot) / p.L), 0.0, 0
-    before_x = before_y = before_turn = before_side = went_side = led_x = led_y = led_twist = 0.0
+    by_side = car.drive == SPEED or p.steering_compliance_coefficient != 0.0
+    at, inverse = Three(a_x, a_y, p.side_f / p.mass), plain()
+    front = pointing(car.outside.delta, 0.0)
+    step, before, iteration = Three(0.0, 0.0, 0.0), Three(0.0, 0.0, 0.0), 0
     while True:
+        if by_side:
+            side = p.mass * at.side
+            front = pointing(car.outside.delta - steering_compliance(p, side), side)
         p.search = HASTY if iteration < UNTIL[0] else WHOLE if iteration < UNTIL[1] else KEPT
-        found = forces(p, car, front, a_x, a_y)
-        missing = steering_compliance(p, found.F_yf) - twist
-        off_x, off_y, turn = found.a_x - a_x, found.a_y - a_y, missing / slope
-        off_side = found.F_yf - front.side if car.drive == SPEED else 0.0
-        if abs(missing) < TWIST_TOLERANCE and abs(off_side * front.sine) < LOAD_TOLERANCE * p.mass:
+        found = forces(p, car, front, at.x, at.y)
+        missing = found.F_yf - front.side if by_side else 0.0
+        off = Three(found.a_x - at.x, found.a_y - at.y, missing / p.mass)
+        held = abs(off.side * front.sine) if car.drive == SPEED else 0.0
+        if abs(steering_compliance(p, missing)) < TWIST_TOLERANCE and held < LOAD_TOLERANCE:
+            p.side_f = front.side
             if found.final:
                 return found, front, found.a_x, found.a_y
-            if found.even and max(abs(off_x), abs(off_y)) < LOAD_TOLERANCE:
-                return found, front, a_x, a_y
-        if iteration == LOAD_ITERATIONS:
-            return found, front, math.nan, a_y
-        back = extrapolated(iteration, off_x, off_y, turn, before_x, before_y, before_turn)
-        part = 1.0 if iteration < SECANTS else 0.5
-        went_side, before_side = secant_step(off_side, before_side, went_side), off_side
-        side = front.side + went_side
-        before_x, before_y, before_turn = off_x, off_y, turn
-        a_x, led_x = a_x + part * off_x - back * (a_x + off_x - led_x), a_x + off_x
-        a_y, led_y = a_y + part * off_y - back * (a_y + off_y - led_y), a_y + off_y
-        twist, led_twist = twist + part * turn - back * (twist + turn - led_twist), twist + turn
-        if car.drive == SPEED or p.steering_compliance_coefficient != 0.0:
-            front = pointing(car.outside.delta - twist, side)
+            if found.even and max(abs(off.x), abs(off.y)) < LOAD_TOLERANCE:
+                if iteration > 0:
+                    keep(p, inverse)
+                return found, front, at.x, at.y
+        if iteration == LOAD_ITERATIONS or not math.isfinite(off.x + off.y + off.side):
+            return found, front, math.nan, at.y
+        if iteration == 0:
+            inverse = kept(p)
+        elif iteration == UNTIL[0]:
+            inverse = plain()
+        else:
+            inverse = corrected(inverse, step, plus(before, -1.0, off))
+        step = times(inverse, off) if iteration < EXTRAPOLATED else plus(Three(0.0, 0.0, 0.0), 0.5, off)
+        at, before = plus(at, 1.0, step), off
         iteration += 1

@@ -246,9 +246,13 @@ _DERIVED = (
     "roll_lever", "pitch_lever", "roll_J", "pitch_J", "arm_x", "arm_y", "arm_z",
 )  # fmt: skip
 
-# What the integrator keeps from one step to the next: its step [s], and how the search of each axle for its wheels'
-# slips goes on.
-OWN = ("step", "split_f", "split_r", "slope_f", "slope_r", "search")
+# What the integrator keeps from one step to the next: its step [s], how the search of each axle for its wheels' slips
+# goes on, and where the loop between loads and forces does: the front axle's side force [N], and by how much
+# `balance.Inverse` is beyond plain iteration.
+OWN = (
+    "step", "split_f", "split_r", "slope_f", "slope_r", "search", "side_f",
+    *(f"inverse_{row}{column}" for row in "xys" for column in "xys"),
+)  # fmt: skip
 
 # What no effect stands for, following the input `latent` over time: a load on the body [N, N, N m], an error of the
 # road wheels' angle [rad], and one of a sensor, that of a row of MEASUREMENTS [its unit].

@@ -289,7 +289,7 @@ def turning(p, car: Car, axle: Axle, torque: float, w: Wheel, c: Contact) -> tup
 
 @compiled
 def derivatives(p, drive: int, u, state, rate) -> None:
-    """Fill rate (19,) with d(state)/dt; on entry rate[V_X], rate[V_Y], rate[R] are where the loop of loads starts."""
+    """Fill rate (19,) with d(state)/dt; on entry rate[V_X], rate[V_Y] are where the loop of loads starts."""
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     roll, pitch = restoring(p, state)
     front, rear = axles(p)
@@ -312,7 +312,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         rear_left=wheel(p, rear, y_r, v_x, v_y, r, state[9], state[13], state[17]),
         rear_right=wheel(p, rear, -y_r, v_x, v_y, r, state[10], state[14], state[18]),
     )
-    found, _, a_x, a_y = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r, rate[R])
+    found, _, a_x, a_y = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
 
     rate[V_X], rate[V_Y], rate[R] = a_x + v_y * r, a_y - v_x * r, found.M_z / p.I_z
     rate[ROLL], rate[PITCH] = state[ROLL_RATE], state[PITCH_RATE]

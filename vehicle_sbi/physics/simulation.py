@@ -14,6 +14,7 @@ from numba import njit, prange
 
 from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics import full_vehicle, single_track
+from vehicle_sbi.physics.balance import forget
 from vehicle_sbi.physics.effects import CATALOGUE, derive, latent_sensor, latent_steering, steer, torques
 from vehicle_sbi.physics.rolling import linearise_wheels, roll_wheels, set_wheels, slipping_wheels
 from vehicle_sbi.physics.sensors import (
@@ -111,7 +112,7 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
     )  # fmt: skip
     now, h, outcome, states = np.zeros(u.shape[1]), dt / substeps, FINISHED, model.states(p)
     p.step = h
-    p.split_f = p.split_r = p.slope_f = p.slope_r = 0.0
+    forget(p)
     wheels = slipping_wheels(model.WHEELS)
     for evaluation in range(4 * substeps * (u.shape[0] - 1) + 1):
         step, stage = evaluation // 4, evaluation % 4

@@ -269,7 +269,7 @@ def states(p) -> int:
 def derivatives(p, drive: int, u, state, rate) -> None:
     """Fill rate (13,) with d(state)/dt of the states that change anything.
 
-    What of v_x, v_y and r it has on entry is where the loop between loads and forces starts.
+    What of v_x and v_y it has on entry is where the loop between loads and forces starts.
     """
     v_x, v_y, r = state[V_X], state[V_Y], state[R]
     speed, v_yf = regular(v_x), v_y + p.l_front * r
@@ -301,7 +301,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         at_once=1.0 - leaning,
         leant=leant,
     )
-    found, front, a_x, _ = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r, rate[R])
+    found, front, a_x, _ = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
     F_zf, F_zr = loads(p, car, a_x)
     rolls = rolling(p, car, front, F_zf, F_zr)
 
