@@ -13,10 +13,13 @@ from omegaconf import DictConfig
 
 @launch("diagnose")
 def main(cfg: DictConfig) -> None:
+    from vehicle_sbi.mismatch.selection import ahead
+
+    use_engine(cfg.engine)
+    ahead.begin()  # before what takes seconds to import
     from vehicle_sbi.report.diagnosis import diagnose, show
 
     diagnosis, again = instantiate(named_recordings(cfg).diagnosis), instantiate(cfg.get("infer"))
-    use_engine(cfg.engine)
     case = diagnosis.prepare()
     warn(case.warnings)
     with run_folder(cfg, inputs=case.inputs) as folder:

@@ -32,7 +32,7 @@ mismatch.hypotheses.hypothesis mismatch.hypotheses.block
 mismatch.hypotheses.regressor mismatch.hypotheses.discrepancy mismatch.hypotheses.quantisation
 mismatch.hypotheses.spans mismatch.hypotheses.effect mismatch.hypotheses.dictionary
 mismatch.selection.score_test mismatch.selection.detection
-mismatch.selection.inverse mismatch.selection.likeness mismatch.selection.inclusion
+mismatch.selection.inverse mismatch.selection.likeness mismatch.selection.inclusion mismatch.selection.ahead
 mismatch.selection.pruned mismatch.selection.expand_and_prune mismatch.selection.extended mismatch.selection.reinfer
 mismatch.selection.predictive mismatch.selection.acceptance mismatch.design.cannot_act mismatch.design.identifiability
 mismatch.design.experiment mismatch.answer.schema mismatch.answer.wording mismatch.answer.verdict mismatch.pipeline

@@ -35,6 +35,7 @@ from vehicle_sbi.mismatch.answer.schema import Verdict
 from vehicle_sbi.mismatch.answer.verdict import Found, verdict
 from vehicle_sbi.mismatch.pipeline import steps
 from vehicle_sbi.mismatch.problem.case import Case, Diagnosis
+from vehicle_sbi.mismatch.selection import ahead
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.physics.vehicle import read as read_vehicle
 from vehicle_sbi.report import netcdf
@@ -257,6 +258,7 @@ def diagnose(
     fitted, held = ([_file(one) for one in _listed(given)] for given in (recordings, heldout))
     if not fitted:
         raise InputError("recordings: none is given")
+    ahead.begin()
     common = _common(fitted[0], vehicle, prior, settings, window_s=10.0)
     diagnosis = Diagnosis(
         **common,

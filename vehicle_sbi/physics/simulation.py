@@ -5,14 +5,15 @@ MODELS says which equations of motion are integrated; inputs, effects, sensors a
 
 import math
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import get_num_threads
 
-from vehicle_sbi.compiled import compiled, compiled_apart
+from vehicle_sbi.compiled import compiled, compiled_apart, compiled_beside
 from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.balance import forget
 from vehicle_sbi.physics.effects import CATALOGUE, derive, latent_sensor, latent_steering, steer, torques
@@ -243,16 +244,18 @@ def sense(p, motion, t, rate: float, u, channels, groups, reading, y, first: int
 
 @cache
 def batch_simulator(model: str) -> Callable[..., None]:
-    """Simulations of one of MODELS in parallel, compiled when first called: a function of records (n,), the Motions
-    that they share, the drive mode, the group of its speeds, u (windows, time, 9), stiffness_noise (n, draws, 4),
-    input_noise (n, draws, 2), rate [Hz], substeps (windows,), initial (n, windows, 3), channels, groups, that fills y
-    (n, channels, windows * time) and outcomes (n,)."""
+    """Simulations of one of MODELS on as many threads as numba has, compiled when first called: a function of records
+    (n,), the Motions that they share, the drive mode, the group of its speeds, u (windows, time, 9), stiffness_noise
+    (n, draws, 4), input_noise (n, draws, 2), rate [Hz], substeps (windows,), initial (n, windows, 3), channels, groups,
+    that fills y (n, channels, windows * time) and outcomes (n,)."""
     equations = MODELS[model]
 
-    @njit(cache=True, error_model="numpy", parallel=True)
-    def simulate_batch(
+    @compiled_beside
+    def simulate_share(
         records,
         motions,
+        share,
+        shares,
         drive,
         speed_group,
         u,
@@ -266,7 +269,7 @@ def batch_simulator(model: str) -> Callable[..., None]:
         y,
         outcomes,
     ):
-        for i in prange(len(motions.starts) - 1):
+        for i in range(share, len(motions.starts) - 1, shares):
             members = motions.order[motions.starts[i] : motions.starts[i + 1]]
             first = members[0]
             outcome = simulate(
@@ -287,6 +290,16 @@ def batch_simulator(model: str) -> Callable[..., None]:
             )
             for member in members:
                 outcomes[member] = outcome
+
+    def simulate_batch(records, motions, *driven_and_filled) -> None:
+        shares = max(min(get_num_threads(), len(motions.starts) - 1), 1)
+        with ThreadPoolExecutor(shares) as threads:
+            run = [
+                threads.submit(simulate_share, records, motions, share, shares, *driven_and_filled)
+                for share in range(shares)
+            ]
+        for one in run:
+            one.result()
 
     return simulate_batch
 

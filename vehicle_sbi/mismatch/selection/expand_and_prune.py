@@ -31,6 +31,7 @@ from vehicle_sbi.mismatch.hypotheses.dictionary import believed, sources
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, Source, parts, remainders
 from vehicle_sbi.mismatch.hypotheses.spans import likeliest_spans
 from vehicle_sbi.mismatch.problem.observation import Observation
+from vehicle_sbi.mismatch.selection import ahead
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Shared, sample
 from vehicle_sbi.mismatch.selection.pruned import Pruned, folded, pooled
 from vehicle_sbi.parameters import Parameter
@@ -193,6 +194,7 @@ class _Asked:
         about = to_nulls(expansion, fits)
         problem = linear_gaussian(expansion, [*zip(about, map(_columns, off), strict=False)])
         groups = groups_of(expansion, [*itertools.chain(*off)], self.prior)
+        ahead.wait()
         return _Told(now, fit, off[0], problem, sample(problem.H, problem.b, groups, Shared(), chain, self.rng))
 
 

@@ -169,7 +169,7 @@ def sample(
     counts = chain.sweeps, chain.forgotten, chain.every
 
     def run(begin: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return _run(H, b, believed, alike, odds, factors, begin, counts, seed)
+        return run_chain(H, b, believed, alike, odds, factors, begin, counts, seed)
 
     begins = [np.full(len(groups.stop), k % 2, dtype=np.int64) for k in range(chain.chains)]
     seeds = [int(rng.integers(2**31)) for _ in begins]
@@ -325,7 +325,7 @@ def _started(H, b, believed, begin):
 
 
 @compiled_beside
-def _run(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
+def run_chain(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
     """One chain; levels, coefficients and their means of every so many sweeps."""
     np.random.seed(seed)
     (missings, discrepants), (sweeps, forgotten, every) = factors, counts
