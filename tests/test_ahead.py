@@ -1,0 +1,62 @@
+"""The sampler compiled ahead: the very function that diagnoses run, by a process that starts only where it helps."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numba
+import numpy as np
+import pytest
+from test_inclusion import SHARED, problem
+
+from vehicle_sbi.mismatch.selection import ahead
+from vehicle_sbi.mismatch.selection.inclusion import Chain, run_chain, sample
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[list[str]]]:
+    """Calls of the processes that begin, which do nothing; every test begins anew, on two cores."""
+    calls: list[list[str]] = []
+    Process = subprocess.Popen
+
+    def popen(call: list[str], **settings: object) -> subprocess.Popen:
+        calls.append(call)
+        return Process([sys.executable, "-c", ""])
+
+    monkeypatch.setattr(subprocess, "Popen", popen)
+    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
+    ahead.begin.cache_clear()
+    yield calls
+    ahead.begin.cache_clear()
+
+
+def test_what_is_compiled_ahead_is_what_a_diagnosis_runs() -> None:
+    ahead.compile_sampler()
+    assert ahead.is_compiled()
+    compiled = list(run_chain.signatures)
+    H, b, groups = problem(signed=True)
+    sample(H, b, groups, SHARED, Chain(chains=1, sweeps=4, forgotten=1, every=1), np.random.default_rng(0))
+    assert run_chain.signatures == compiled
+
+
+def test_one_process_begins_where_nothing_is_compiled(
+    started: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ahead, "is_compiled", lambda: False)
+    for _ in range(2):
+        ahead.begin()
+        ahead.wait()
+    (call,) = started
+    assert call[0] == sys.executable
+    assert ahead.compile_sampler.__name__ in call[-1]
+    compile(call[-1], "call", "exec")
+
+
+@pytest.mark.parametrize(("cores", "compiled"), [(1, False), (2, True)])
+def test_no_process_begins_where_it_would_not_help(
+    cores: int, compiled: bool, started: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(numba, "get_num_threads", lambda: cores)
+    monkeypatch.setattr(ahead, "is_compiled", lambda: compiled)
+    ahead.wait()
+    assert started == []
