@@ -1,5 +1,7 @@
 """A motion that several simulations share is integrated once, which changes no bit of what each of them reads."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from cars import PAPER, RATE, REPORTED_BY, V, exciting, record_of
@@ -53,6 +55,23 @@ def test_shared_motions_are_read_as_if_each_were_integrated(model: str, drive: s
     assert sorted(motions.order.tolist()) == list(range(N))
     if drive == "torque":
         assert len(motions.starts) - 1 == 4  # three that move differently, and the car as it is
+
+
+@pytest.mark.parametrize("threads", [1, 3, 40])
+def test_on_however_many_threads_and_from_however_many_at_once_all_is_the_same(
+    threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    records, initial = differing(np.random.default_rng(1)), np.zeros((N, 1, 3))
+    initial[:, 0, 0] = V
+
+    def once(_: int) -> np.ndarray:
+        return read(records, Motions.each(N), "single_track", "speed", initial)
+
+    alone = once(0)
+    monkeypatch.setattr("vehicle_sbi.physics.simulation.get_num_threads", lambda: threads)
+    with ThreadPoolExecutor(4) as callers:
+        for found in callers.map(once, range(8)):
+            np.testing.assert_array_equal(found, alone)
 
 
 def test_what_is_drawn_keeps_motions_apart() -> None:
