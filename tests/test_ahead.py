@@ -1,11 +1,14 @@
 """The sampler compiled ahead: the very function that diagnoses run, by a process that starts only where it helps."""
 
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numba
 import numpy as np
+import psutil
 import pytest
 from test_inclusion import SHARED, problem
 
@@ -50,6 +53,23 @@ def test_one_process_begins_where_nothing_is_compiled(
     assert call[0] == sys.executable
     assert ahead.compile_sampler.__name__ in call[-1]
     compile(call[-1], "call", "exec")
+
+
+def test_the_process_ends_with_the_one_that_began_it(tmp_path: Path) -> None:
+    # A command that ends with an error after a second leaves nothing that goes on for half a minute.
+    begun = "from vehicle_sbi.mismatch.selection import ahead; print(ahead.begin().pid)"
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path), "NUMBA_NUM_THREADS": "2"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    printed = subprocess.run([sys.executable, "-c", begun], env=environment, capture_output=True, check=True, text=True)
+    _, alive = psutil.wait_procs([one for one in [_process(int(printed.stdout))] if one is not None], timeout=5.0)
+    assert not alive
+
+
+def _process(pid: int) -> psutil.Process | None:
+    try:
+        return psutil.Process(pid)
+    except psutil.NoSuchProcess:
+        return None
 
 
 @pytest.mark.parametrize(("cores", "compiled"), [(1, False), (2, True)])

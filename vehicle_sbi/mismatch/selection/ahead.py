@@ -3,6 +3,7 @@
 Numba compiles one function at a time in a process, and keeps what it has compiled on disk, where this process finds it.
 """
 
+import atexit
 import subprocess
 import sys
 from functools import cache
@@ -19,12 +20,15 @@ COLUMNS = 3  # one that is always there, and two groups of one each
 
 @cache
 def begin() -> subprocess.Popen | None:
-    """The process that compiles; none where this machine has one core, or has compiled the sampler before."""
+    """The process that compiles, no longer than this one lives; none where this machine has one core, or has compiled
+    the sampler before."""
     if numba.get_num_threads() == 1 or is_compiled():
         return None
     call = [sys.executable, "-c", f"from {__name__} import compile_sampler; compile_sampler()"]
     nowhere = subprocess.DEVNULL
-    return subprocess.Popen(call, stdin=nowhere, stdout=nowhere, stderr=nowhere)
+    process = subprocess.Popen(call, stdin=nowhere, stdout=nowhere, stderr=nowhere)
+    atexit.register(process.terminate)
+    return process
 
 
 def wait() -> None:
