@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cars import PAPER, RATE, exciting, rate_of, record_of
 
-from vehicle_sbi.physics.balance import LEAST_ANSWER, Inverse, Three, corrected, plain, plus, times
+from vehicle_sbi.physics.balance import LEAST_ANSWER, Inverse, Unknowns, corrected, plain, plus, times
 from vehicle_sbi.physics.effects import OWN, derive
 from vehicle_sbi.physics.simulation import MODELS
 from vehicle_sbi.physics.single_track import DRIVES
@@ -20,8 +20,8 @@ EVERYTHING = {
 }
 
 
-def three(values: np.ndarray) -> Three:
-    return Three(*map(float, values))
+def three(values: np.ndarray) -> Unknowns:
+    return Unknowns(*map(float, values))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -52,14 +52,14 @@ def test_what_is_learned_holds_for_the_step_and_changes_nothing_across_it(seed: 
 
 
 def test_residuals_that_do_not_fall_lengthen_steps_no_more_than_is_said() -> None:
-    step = Three(0.3, -0.1, 0.2)
-    longer = times(corrected(plain(), step, Three(0.0, 0.0, 0.0)), step)
+    step = Unknowns(0.3, -0.1, 0.2)
+    longer = times(corrected(plain(), step, Unknowns(0.0, 0.0, 0.0)), step)
     np.testing.assert_allclose(longer, np.array(step) / LEAST_ANSWER, rtol=1e-12)
-    assert corrected(plain(), Three(0.0, 0.0, 0.0), step) == plain()
+    assert corrected(plain(), Unknowns(0.0, 0.0, 0.0), step) == plain()
 
 
 def test_a_step_is_added_by_its_share() -> None:
-    assert plus(Three(1.0, 2.0, 3.0), -0.5, Three(2.0, 2.0, 4.0)) == Three(0.0, 1.0, 1.0)
+    assert plus(Unknowns(1.0, 2.0, 3.0), -0.5, Unknowns(2.0, 2.0, 4.0)) == Unknowns(0.0, 1.0, 1.0)
     assert isinstance(plain(), Inverse)
 
 

@@ -28,6 +28,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vehicle_sbi.physics import full_vehicle, single_track
+from vehicle_sbi.physics.balance import LOAD_TOLERANCE
 from vehicle_sbi.physics.effects import derive
 from vehicle_sbi.physics.simulation import (
     MODELS,
@@ -207,12 +208,13 @@ def test_later_steering_gives_the_same_response_later(shift: int, chosen: tuple[
 
 
 def test_window_cut_out_of_a_drive_continues_it() -> None:
-    # Without relaxation the lateral state is (v_y, r) alone: a window that starts from it goes the same way, bit for
-    # bit, because the initial guess of the load transfer does not matter where v_x is given.
+    # Without relaxation the lateral state is (v_y, r) alone: a window that starts from it goes the same way, as far as
+    # the loop of loads and forces, which starts elsewhere, leaves each acceleration open. Lateral modes damp what that
+    # adds up to within a fraction of a second.
     u, car = smooth_inputs(), record_of(replace(PAPER, K=math.inf))
     whole = finished(car, "speed", u, (10.5, 0.1, 0.02))
     part = finished(car, "speed", u[150:], whole[[V_X, V_Y, R], 150])
-    assert np.array_equal(part, whole[:, 150:])
+    np.testing.assert_allclose(part, whole[:, 150:], rtol=0.0, atol=2.0 * LOAD_TOLERANCE)
 
 
 @every_model

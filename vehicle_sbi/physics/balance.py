@@ -19,11 +19,11 @@ TWIST_TOLERANCE = 1e-12  # [rad], where that between side force and steering com
 LOAD_ITERATIONS = 100
 HASTY, WHOLE, KEPT = 0, 1, 2  # how `forces` solves for what is its own: by and by, at once, or no more
 UNTIL = (6, 20)  # iterations from which on it is at once, and no more
-EXTRAPOLATED = 30  # iterations after which steps go half the way of plain iteration
+LEARNING = 30  # iterations that go by the inverse; later ones go half the way of plain iteration
 LEAST_ANSWER = 0.1  # of a step, by which its residuals fall at least to what is learned of them
 
 
-class Three(NamedTuple):
+class Unknowns(NamedTuple):
     """The unknowns of the loop, or their residuals [m/s^2]: accelerations along and across the car, and the side force
     of the front axle over the mass."""
 
@@ -35,9 +35,9 @@ class Three(NamedTuple):
 class Inverse(NamedTuple):
     """How far each unknown goes on for each residual."""
 
-    x: Three
-    y: Three
-    side: Three
+    x: Unknowns
+    y: Unknowns
+    side: Unknowns
 
 
 class Outside(NamedTuple):
@@ -88,23 +88,23 @@ def pulls(p, out: Outside, front: Front, a_x: float) -> tuple[float, float]:
 
 
 @compiled
-def dot(a: Three, b: Three) -> float:
+def dot(a: Unknowns, b: Unknowns) -> float:
     return a.x * b.x + a.y * b.y + a.side * b.side
 
 
 @compiled
-def plus(a: Three, share: float, b: Three) -> Three:
+def plus(a: Unknowns, share: float, b: Unknowns) -> Unknowns:
     """a and a share of b."""
-    return Three(a.x + share * b.x, a.y + share * b.y, a.side + share * b.side)
+    return Unknowns(a.x + share * b.x, a.y + share * b.y, a.side + share * b.side)
 
 
 @compiled
-def times(inverse: Inverse, off: Three) -> Three:
-    return Three(dot(inverse.x, off), dot(inverse.y, off), dot(inverse.side, off))
+def times(inverse: Inverse, off: Unknowns) -> Unknowns:
+    return Unknowns(dot(inverse.x, off), dot(inverse.y, off), dot(inverse.side, off))
 
 
 @compiled
-def corrected(inverse: Inverse, step: Three, fell: Three) -> Inverse:
+def corrected(inverse: Inverse, step: Unknowns, fell: Unknowns) -> Inverse:
     """The inverse that also holds for a step by which residuals `fell`, as far as they fell by LEAST_ANSWER of it.
 
     The least change that does so; what keeps it regular where they hardly fall is Powell's (1970).
@@ -115,7 +115,7 @@ def corrected(inverse: Inverse, step: Three, fell: Three) -> Inverse:
     along = dot(step, said) / size
     part = 1.0 if along >= LEAST_ANSWER else (1.0 - LEAST_ANSWER) / (1.0 - along)
     change = plus(step, -1.0, said)
-    row = plus(plus(plus(Three(0.0, 0.0, 0.0), step.x, inverse.x), step.y, inverse.y), step.side, inverse.side)
+    row = plus(plus(plus(Unknowns(0.0, 0.0, 0.0), step.x, inverse.x), step.y, inverse.y), step.side, inverse.side)
     share = part / (size * (1.0 - part * (1.0 - along)))
     return Inverse(
         plus(inverse.x, share * change.x, row),
@@ -127,16 +127,16 @@ def corrected(inverse: Inverse, step: Three, fell: Three) -> Inverse:
 @compiled
 def plain() -> Inverse:
     """Plain iteration: each unknown goes on by its residual."""
-    return Inverse(Three(1.0, 0.0, 0.0), Three(0.0, 1.0, 0.0), Three(0.0, 0.0, 1.0))
+    return Inverse(Unknowns(1.0, 0.0, 0.0), Unknowns(0.0, 1.0, 0.0), Unknowns(0.0, 0.0, 1.0))
 
 
 @compiled
 def kept(p) -> Inverse:
     """What the last loop has learned, plain iteration where there was none."""
     return Inverse(
-        Three(1.0 + p.inverse_xx, p.inverse_xy, p.inverse_xs),
-        Three(p.inverse_yx, 1.0 + p.inverse_yy, p.inverse_ys),
-        Three(p.inverse_sx, p.inverse_sy, 1.0 + p.inverse_ss),
+        Unknowns(1.0 + p.inverse_xx, p.inverse_xy, p.inverse_xs),
+        Unknowns(p.inverse_yx, 1.0 + p.inverse_yy, p.inverse_ys),
+        Unknowns(p.inverse_sx, p.inverse_sy, 1.0 + p.inverse_ss),
     )
 
 
@@ -165,9 +165,9 @@ def settled(forces, p, car, a_x: float, a_y: float):
     a_y and the side force that it found last. NaN if it does not end.
     """
     by_side = car.drive == SPEED or p.steering_compliance_coefficient != 0.0
-    at, inverse = Three(a_x, a_y, p.side_f / p.mass), plain()
+    at, inverse = Unknowns(a_x, a_y, p.side_f / p.mass), plain()
     front = pointing(car.outside.delta, 0.0)
-    step, before, iteration = Three(0.0, 0.0, 0.0), Three(0.0, 0.0, 0.0), 0
+    step, before, iteration = Unknowns(0.0, 0.0, 0.0), Unknowns(0.0, 0.0, 0.0), 0
     while True:
         if by_side:
             side = p.mass * at.side
@@ -175,7 +175,7 @@ def settled(forces, p, car, a_x: float, a_y: float):
         p.search = HASTY if iteration < UNTIL[0] else WHOLE if iteration < UNTIL[1] else KEPT
         found = forces(p, car, front, at.x, at.y)
         missing = found.F_yf - front.side if by_side else 0.0
-        off = Three(found.a_x - at.x, found.a_y - at.y, missing / p.mass)
+        off = Unknowns(found.a_x - at.x, found.a_y - at.y, missing / p.mass)
         held = abs(off.side * front.sine) if car.drive == SPEED else 0.0
         if abs(steering_compliance(p, missing)) < TWIST_TOLERANCE and held < LOAD_TOLERANCE:
             p.side_f = front.side
@@ -193,6 +193,6 @@ def settled(forces, p, car, a_x: float, a_y: float):
             inverse = plain()
         else:
             inverse = corrected(inverse, step, plus(before, -1.0, off))
-        step = times(inverse, off) if iteration < EXTRAPOLATED else plus(Three(0.0, 0.0, 0.0), 0.5, off)
+        step = times(inverse, off) if iteration < LEARNING else plus(Unknowns(0.0, 0.0, 0.0), 0.5, off)
         at, before = plus(at, 1.0, step), off
         iteration += 1
