@@ -39,8 +39,9 @@ def wait() -> None:
 
 
 def is_compiled() -> bool:
-    """Whether numba's cache has the sampler."""
-    return any(Path(run_chain.stats.cache_path).glob(f"*.{run_chain.py_func.__name__}-*.nbc"))
+    """Whether numba's cache has the sampler, or there is no cache that could."""
+    folder = run_chain.stats.cache_path
+    return folder is None or any(Path(folder).glob(f"*.{run_chain.py_func.__name__}-*.nbc"))
 
 
 def compile_sampler() -> None:
