@@ -293,13 +293,12 @@ def batch_simulator(model: str) -> Callable[..., None]:
 
     def simulate_batch(records, motions, *driven_and_filled) -> None:
         shares = max(min(get_num_threads(), len(motions.starts) - 1), 1)
+
+        def one(share: int) -> None:
+            simulate_share(records, motions, share, shares, *driven_and_filled)
+
         with ThreadPoolExecutor(shares) as threads:
-            run = [
-                threads.submit(simulate_share, records, motions, share, shares, *driven_and_filled)
-                for share in range(shares)
-            ]
-        for one in run:
-            one.result()
+            list(threads.map(one, range(shares)))  # raises what any of them has raised
 
     return simulate_batch
 
