@@ -40,9 +40,10 @@ from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.features import Handcrafted
 from vehicle_sbi.inference.reweighting import posterior_draws
 from vehicle_sbi.inference.rounds import Problem, infer
-from vehicle_sbi.inference.simulator import Simulator, succeeded, use_cores
+from vehicle_sbi.inference.simulator import Simulator, succeeded
 from vehicle_sbi.report.tables.text import markdown
 from vehicle_sbi.rng import Stream, seed_torch
+from vehicle_sbi.threads import use_cores
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER, RESULTS = ROOT / "outputs" / "peers", ROOT / "benchmarks" / "results"

@@ -38,11 +38,12 @@ from vehicle_sbi.inference.estimator import (
 from vehicle_sbi.inference.features import Embedding, Features, Handcrafted, Score
 from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.rounds import Amortised, Corrected, Problem, Scheme, Truncated, infer
-from vehicle_sbi.inference.simulator import Draws, Simulator, use_cores
+from vehicle_sbi.inference.simulator import Draws, Simulator
 from vehicle_sbi.inference.study import Study
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.physics.vehicle import read
 from vehicle_sbi.report.tables.text import markdown
+from vehicle_sbi.threads import use_cores
 
 ROOT = Path(__file__).resolve().parent.parent
 SUMS = ("delta_C_kappa_f", "delta_C_kappa_r", "delta_C_alpha_f", "delta_C_alpha_r")

@@ -28,9 +28,9 @@ from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.reweighting import posterior_draws
 from vehicle_sbi.inference.rounds import Problem, infer
-from vehicle_sbi.inference.simulator import use_cores
 from vehicle_sbi.report.tables.text import markdown
 from vehicle_sbi.rng import Stream, seed_torch
+from vehicle_sbi.threads import use_cores
 
 SEEDS = {"paper_mild": range(520, 525), "paper_strong": range(525, 530)}
 WALKERS, DRAWS = 64, 5000

@@ -39,12 +39,12 @@ from vehicle_sbi.inference.features import Score
 from vehicle_sbi.inference.information import bound_std, fisher
 from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.rounds import Problem, Truncated, infer
-from vehicle_sbi.inference.simulator import use_cores
 from vehicle_sbi.inference.study import Prepared, Study
 from vehicle_sbi.inference.training import Training
 from vehicle_sbi.physics.vehicle import read
 from vehicle_sbi.report.tables.text import markdown
 from vehicle_sbi.rng import Stream, seed_torch
+from vehicle_sbi.threads import use_cores
 
 DRIVES, FIRST_SEED, SAMPLES = 6, 7000, 4000
 ROUNDS = Truncated(rounds=2, simulations=2000, last=3)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import get_args
 
 import hypothesis
-import numba
 import torch
 from beartype import beartype
 from beartype.roar import BeartypeDecorHintException
@@ -49,7 +48,10 @@ def checked(function: Callable[..., object]) -> Callable[..., object]:
 install_import_hook(plain_modules(), f"{__name__}.checked")
 
 torch.set_num_threads(1)
-numba.set_num_threads(1)  # tests run side by side, one on each core
+
+from vehicle_sbi.threads import use_cores  # noqa: E402 - once the hook is there that checks shapes
+
+use_cores(1)  # tests run side by side, one on each core
 
 # Compilation makes first examples slow, and a test that fails once in a while tells nobody anything.
 hypothesis.settings.register_profile("house", deadline=None, derandomize=True)

@@ -6,12 +6,12 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numba
 import numpy as np
 import psutil
 import pytest
 from test_inclusion import SHARED, problem
 
+from vehicle_sbi import threads
 from vehicle_sbi.mismatch.selection import ahead
 from vehicle_sbi.mismatch.selection.inclusion import Chain, run_chain, sample
 
@@ -27,7 +27,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[list[str]]]:
         return Process([sys.executable, "-c", ""])
 
     monkeypatch.setattr(subprocess, "Popen", popen)
-    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
+    monkeypatch.setattr(threads, "_used", 2)
     ahead.begin.cache_clear()
     yield calls
     ahead.begin.cache_clear()
@@ -76,7 +76,7 @@ def _process(pid: int) -> psutil.Process | None:
 def test_no_process_begins_where_it_would_not_help(
     cores: int, compiled: bool, started: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(numba, "get_num_threads", lambda: cores)
+    monkeypatch.setattr(threads, "_used", cores)
     monkeypatch.setattr(ahead, "is_compiled", lambda: compiled)
     ahead.wait()
     assert started == []

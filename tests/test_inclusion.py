@@ -2,13 +2,13 @@
 
 import itertools
 
-import numba
 import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.special import logsumexp
 from scipy.stats import norm
 
+from vehicle_sbi import threads
 from vehicle_sbi.mismatch.selection.inclusion import (
     Chain,
     Groups,
@@ -187,8 +187,8 @@ def test_groups_are_as_alike_as_the_mean_squared_cosine_beside_what_is_always_th
 def test_draws_are_the_same_on_however_many_threads_chains_run(monkeypatch: pytest.MonkeyPatch) -> None:
     H, b, groups = problem(signed=True)
     few, found = Chain(chains=3, sweeps=20, forgotten=10, every=1), []
-    for threads in (1, 3):
-        monkeypatch.setattr(numba, "get_num_threads", lambda threads=threads: threads)
+    for used in (1, 3):
+        monkeypatch.setattr(threads, "_used", used)
         found.append(sample(H, b, groups, SHARED, few, np.random.default_rng(0)))
     np.testing.assert_array_equal(found[0].coefficient, found[1].coefficient)
     chains = np.split(found[0].coefficient, few.chains)

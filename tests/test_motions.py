@@ -68,7 +68,7 @@ def test_on_however_many_threads_and_from_however_many_at_once_all_is_the_same(
         return read(records, Motions.each(N), "single_track", "speed", initial)
 
     alone = once(0)
-    monkeypatch.setattr("vehicle_sbi.physics.simulation.get_num_threads", lambda: threads)
+    monkeypatch.setattr("vehicle_sbi.threads._used", threads)
     with ThreadPoolExecutor(4) as callers:
         for found in callers.map(once, range(8)):
             np.testing.assert_array_equal(found, alone)

@@ -9,8 +9,7 @@ from scipy.stats import chi2, kstest
 from studies import QUIET, constant_noise, manoeuvre, paper_process, repeated, simulator
 
 from vehicle_sbi.data.noise import MeasurementNoise
-from vehicle_sbi.errors import InputError
-from vehicle_sbi.inference.simulator import STIFFNESSES, Simulator, succeeded, use_cores
+from vehicle_sbi.inference.simulator import STIFFNESSES, Simulator, succeeded
 from vehicle_sbi.physics.simulation import SPUN_OUT
 from vehicle_sbi.rng import Stream
 
@@ -166,9 +165,3 @@ def test_windows_that_are_the_same_are_simulated_the_same() -> None:
 
 def test_no_noise_is_no_nuisance() -> None:
     assert simulator(process=QUIET).nuisances == ()
-
-
-@pytest.mark.parametrize("cores", [0, -1, 10_000, 1.5])
-def test_cores_that_are_not_there_are_refused(cores: int) -> None:
-    with pytest.raises(InputError, match=r"engine\.cores = .*; this machine has 1 to "):
-        use_cores(cores)

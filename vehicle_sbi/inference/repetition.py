@@ -41,9 +41,9 @@ from vehicle_sbi.inference.rounds import (
     posterior_of,
     simulate_features,
 )
-from vehicle_sbi.inference.simulator import use_cores
 from vehicle_sbi.inference.study import Prepared, Study
 from vehicle_sbi.rng import Stream, generator, seed_torch
+from vehicle_sbi.threads import use_cores
 
 MANY, SEVERAL = 200, 100  # recordings of an amortised study, and of one that is repeated whole
 FEWEST = 20  # recordings from which sbi's tests can be made

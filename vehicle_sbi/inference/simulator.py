@@ -7,31 +7,17 @@ whatever the size of the batch or the number of cores.
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
-from numba.core import config
 
 from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise
 from vehicle_sbi.data.windows import Windows
-from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.spike_slab import SpikeAndSlab
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS
 from vehicle_sbi.physics.simulation import FINISHED, SENSOR_FIELDS, Motions, batch_simulator
 from vehicle_sbi.physics.single_track import DRIVES
 from vehicle_sbi.rng import Stream, generator
-
-
-def use_cores(cores: int | None) -> None:
-    """Let simulations use this many cores; None: all. Raises InputError for a number this machine does not have."""
-    available = config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccessIssue]
-    if cores is None:
-        return
-    if not isinstance(cores, int) or not 1 <= cores <= available:
-        raise InputError(f"engine.cores = {cores!r}; this machine has 1 to {available}")
-    numba.set_num_threads(cores)
-
 
 STIFFNESSES = ("C_kappa_f", "C_kappa_r", "C_alpha_f", "C_alpha_r")
 STATES = ("v_x", "v_y", "r")

@@ -5,13 +5,11 @@ MODELS says which equations of motion are integrated; inputs, effects, sensors a
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
-from numba import get_num_threads
 
 from vehicle_sbi.compiled import compiled, compiled_apart, compiled_beside
 from vehicle_sbi.physics import full_vehicle, single_track
@@ -44,6 +42,7 @@ from vehicle_sbi.physics.single_track import (
     regular,
 )
 from vehicle_sbi.physics.vehicle import GRAVITY
+from vehicle_sbi.threads import cores, each
 
 MODELS: Mapping[str, ModuleType] = {"single_track": single_track, "full_vehicle": full_vehicle}
 V_X, V_Y = 0, 1  # the first states of every model
@@ -244,10 +243,10 @@ def sense(p, motion, t, rate: float, u, channels, groups, reading, y, first: int
 
 @cache
 def batch_simulator(model: str) -> Callable[..., None]:
-    """Simulations of one of MODELS on as many threads as numba has, compiled when first called: a function of records
-    (n,), the Motions that they share, the drive mode, the group of its speeds, u (windows, time, 9), stiffness_noise
-    (n, draws, 4), input_noise (n, draws, 2), rate [Hz], substeps (windows,), initial (n, windows, 3), channels, groups,
-    that fills y (n, channels, windows * time) and outcomes (n,)."""
+    """Simulations of one of MODELS on all cores, compiled when first called: a function of records (n,), the Motions
+    that they share, the drive mode, the group of its speeds, u (windows, time, 9), stiffness_noise (n, draws, 4),
+    input_noise (n, draws, 2), rate [Hz], substeps (windows,), initial (n, windows, 3), channels, groups, that fills
+    y (n, channels, windows * time) and outcomes (n,)."""
     equations = MODELS[model]
 
     @compiled_beside
@@ -292,13 +291,12 @@ def batch_simulator(model: str) -> Callable[..., None]:
                 outcomes[member] = outcome
 
     def simulate_batch(records, motions, *driven_and_filled) -> None:
-        shares = max(min(get_num_threads(), len(motions.starts) - 1), 1)
+        shares = max(min(cores(), len(motions.starts) - 1), 1)
 
         def one(share: int) -> None:
             simulate_share(records, motions, share, shares, *driven_and_filled)
 
-        with ThreadPoolExecutor(shares) as threads:
-            list(threads.map(one, range(shares)))  # raises what any of them has raised
+        each(one, range(shares))
 
     return simulate_batch
 

@@ -18,6 +18,7 @@ from vehicle_sbi.inference.setup import slowest, steps_at
 from vehicle_sbi.mismatch.estimation.fit import Fit, Shrinkage, descend, onwards, relinearised, with_own_noise
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.parameters import Parameter, ParameterSpace
+from vehicle_sbi.threads import each
 
 WIDER = 1.5  # typical sizes by which effects are shrunk at first, before anything is known of which are there
 FIRST_STEPS = 6  # of Gauss-Newton from each start near the optimum, before the best goes on
@@ -181,9 +182,9 @@ class Expansion:
         with derivatives that are simulated after every step: those that follow from steps often end in a valley, tens
         of units below its bottom.
         """
-        led = [*(((1.0,), FIRST_STEPS, start) for start in near), *((EASED, EASED_STEPS, start) for start in far)]
-        fits = [fit for way, steps, start in led if (fit := self._led(observation, start, rms, way, steps)) is not None]
-        best = max(fits, key=_log_posterior, default=None)
+        ways = [*((start, (1.0,), FIRST_STEPS) for start in near), *((start, EASED, EASED_STEPS) for start in far)]
+        led = each(lambda way: self._led(observation, rms, *way), ways)
+        best = max((fit for fit in led if fit is not None), key=_log_posterior, default=None)
         if best is None:
             return None
         best = replace(onwards(best, STEPS, secant=True), observation=observation)
@@ -194,8 +195,8 @@ class Expansion:
     def _led(
         self,
         observation: Observation,
-        start: Float[np.ndarray, " d"],
         rms: Float[np.ndarray, " sizes"],
+        start: Float[np.ndarray, " d"],
         way: Sequence[float],
         steps: int,
     ) -> Fit | None:

@@ -15,6 +15,7 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.estimation.fit import MOST_STEPS, Fit, descend, with_own_noise
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.physics.effects import DEAD_TIMES
+from vehicle_sbi.threads import each
 
 MOST_DEAD_TIMES = 250  # that are tried of one
 REACHES_S = (1.5, 0.3)  # [s] within which the beginning and the end of something are moved, in turn
@@ -40,8 +41,9 @@ def likeliest(
     observation: Observation, starts: Sequence[Float[np.ndarray, " d"]], steps: int = MOST_STEPS
 ) -> Fit | None:
     """The best optimum that Gauss-Newton finds from some starts, at other times too, if that is likelier."""
-    fits = [fit for start in starts if (fit := descend(observation, start, steps)) is not None]
-    return max((_in_time(fit, steps) for fit in _promising(fits)), key=lambda fit: fit.log_likelihood, default=None)
+    found = each(lambda start: descend(observation, start, steps), starts)
+    fits = each(lambda fit: _in_time(fit, steps), _promising([fit for fit in found if fit is not None]))
+    return max(fits, key=lambda fit: fit.log_likelihood, default=None)
 
 
 def _promising(fits: Sequence[Fit]) -> list[Fit]:

@@ -9,11 +9,11 @@ import sys
 from functools import cache
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Shared, run_chain, sample
+from vehicle_sbi.threads import cores
 
 COLUMNS = 3  # one that is always there, and two groups of one each
 
@@ -22,7 +22,7 @@ COLUMNS = 3  # one that is always there, and two groups of one each
 def begin() -> subprocess.Popen | None:
     """The process that compiles, no longer than this one lives; none where this machine has one core, or has compiled
     the sampler before."""
-    if numba.get_num_threads() == 1 or is_compiled():
+    if cores() == 1 or is_compiled():
         return None
     call = [sys.executable, "-c", f"from {__name__} import compile_sampler; compile_sampler()"]
     nowhere = subprocess.DEVNULL

@@ -17,11 +17,9 @@ sum_i [ - 1/2 log(1 + d e_i) - 1/2 d u_i^2 / (1 + d e_i) ] + q/2 log(ratio of pr
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -29,6 +27,7 @@ from vehicle_sbi.compiled import compiled_apart, compiled_beside
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
 from vehicle_sbi.mismatch.selection.inverse import LEAST, factorised, rounded, set_precision
 from vehicle_sbi.mismatch.selection.likeness import likeness
+from vehicle_sbi.threads import each
 
 REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
@@ -168,13 +167,11 @@ def sample(
     factors = np.array(shared.missing), np.array(shared.discrepant)
     counts = chain.sweeps, chain.forgotten, chain.every
 
-    def run(begin: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return run_chain(H, b, believed, alike, odds, factors, begin, counts, seed)
+    def run(begun: tuple[np.ndarray, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return run_chain(H, b, believed, alike, odds, factors, begun[0], counts, begun[1])
 
     begins = [np.full(len(groups.stop), k % 2, dtype=np.int64) for k in range(chain.chains)]
-    seeds = [int(rng.integers(2**31)) for _ in begins]
-    with ThreadPoolExecutor(min(chain.chains, numba.get_num_threads())) as threads:
-        found = [*threads.map(run, begins, seeds)]
+    found = each(run, [(begin, int(rng.integers(2**31))) for begin in begins])
     return Sampled(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
@@ -279,7 +276,7 @@ def _drawn(H, precision, m, sign, slab):
     """Coefficients from their normal, those on the wrong side of zero drawn again one after another, as Gibbs does."""
     n = len(m)
     L = np.linalg.cholesky(H + np.diag(precision))
-    x = m + np.linalg.solve(L.T, np.random.standard_normal(n))
+    x = m + _solved_upwards(L, np.random.standard_normal(n))
     held = [j for j in range(n) if sign[j] != 0 and slab[j] > 0.0]
     for j in held:
         if sign[j] * x[j] < 0.0:
@@ -294,6 +291,16 @@ def _drawn(H, precision, m, sign, slab):
             off[j] += (to - x[j]) * precision[j]
             x[j] = to
     return x
+
+
+@compiled_apart
+def _solved_upwards(L, z):
+    """x of L' x = z, L lower triangular; z is used up."""
+    for i in range(len(z) - 1, -1, -1):
+        z[i] /= L[i, i]
+        for j in range(i):
+            z[j] -= L[i, j] * z[i]
+    return z
 
 
 @compiled_apart

@@ -19,6 +19,7 @@ from scipy.stats import rankdata
 
 from vehicle_sbi.mismatch.estimation.linearised import ITERATIONS, LEAST_VARIANCE, Linearised, ar1, kinds, profile
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Hypothesis, Together, changes_of
+from vehicle_sbi.threads import each
 
 DRAWS = 500  # of noise, behind a p-value
 CHUNK = 100  # of them, and of directions, at once
@@ -70,16 +71,18 @@ def score(
     """Scores of hypotheses about a fit, each alone, and of those that are also tested together."""
     changes = changes_of(alone, about.fit.at.y.shape)
     low, high = np.array([one.low for one in alone]), np.array([one.high for one in alone])
-    each = profile(about, changes[:, None], low[:, None], high[:, None])
-    gain = np.maximum(each.log_likelihood - about.alone, 0.0)
+    fitted = profile(about, changes[:, None], low[:, None], high[:, None])
+    gain = np.maximum(fitted.log_likelihood - about.alone, 0.0)
     singles = Singles.of(about, changes, low, high)
-    null, null_together = [], []
-    for n in np.diff([*range(0, draws, CHUNK), draws]):
-        noise = about.absorbed(about.drawn(int(n), rng))
-        null.append(singles.scores(noise))
-        null_together.append(_gains(together, noise))
+
+    def nothing_missing(drawn: tuple[int, np.random.Generator]) -> tuple[np.ndarray, np.ndarray]:
+        noise = about.absorbed(about.drawn(*drawn))
+        return singles.scores(noise), _gains(together, noise)
+
+    chunks = np.diff([*range(0, draws, CHUNK), draws]).tolist()
+    null, null_together = zip(*each(nothing_missing, zip(chunks, rng.spawn(len(chunks)), strict=True)), strict=True)
     here = _gains(together, about.absorbed(about.residual))[0]
-    return Scores(gain, each.size[:, 0], np.concatenate(null), here, np.concatenate(null_together))
+    return Scores(gain, fitted.size[:, 0], np.concatenate(null), here, np.concatenate(null_together))
 
 
 def _gains(together: Sequence[Together], e: Float[np.ndarray, "n channels time"]) -> Float[np.ndarray, "n groups"]:
