@@ -1,10 +1,13 @@
 """Laws outside the catalogue: what they do, and that they stand beside it rather than in its place."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from recorded import TRUTH, lateral
+from studies import repeated
 
-from vehicle_sbi.mismatch.hypotheses.regressor import Law, law_slopes, laws, under
+from vehicle_sbi.mismatch.hypotheses.regressor import STEP, Law, law_slopes, laws, under
 
 
 def law(name: str) -> Law:
@@ -32,3 +35,16 @@ def test_slopes_are_what_a_small_size_does(name: str) -> None:
     moved = under(sim, [one]).noise_free(np.array([[*TRUTH, size], [*TRUTH, -size]]))
     central = (moved[0] - moved[1]) / (2.0 * size)
     assert np.abs(law_slopes(sim, TRUTH, y, [one])[0] - central).max() < 0.05 * np.abs(central).max()
+
+
+def test_where_a_law_does_not_act_nothing_changes() -> None:
+    # Simulated in some windows alone, it does there what it does in all of them, digit by digit.
+    once = lateral()
+    sim = replace(once, windows=repeated(once.windows, 3))
+    y = sim.noise_free(TRUTH[None])[0]
+    target = law("moment about z with steering").target
+    course = np.zeros(sim.windows.t.shape)
+    course[1] = np.sin(np.arange(course.shape[1]))
+    size = STEP * target.size.high
+    everywhere = under(sim, [Law(target, "alone", course)]).noise_free(np.array([[*TRUTH, size]]))[0]
+    np.testing.assert_array_equal(law_slopes(sim, TRUTH, y, [Law(target, "alone", course)])[0], (everywhere - y) / size)

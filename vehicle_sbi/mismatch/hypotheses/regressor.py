@@ -21,6 +21,7 @@ from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.physics.vehicle import GRAVITY
+from vehicle_sbi.threads import each
 
 MOTION = ("v_x", "a_x", "a_y", "yaw_rate")  # of the fitted model, that signals are made of
 LOAD = 0.1  # of the car's weight, at most, as a force at its root mean square; over its wheelbase, as a moment
@@ -135,18 +136,22 @@ def under(simulator: Simulator, given: Sequence[Law]) -> Simulator:
 def law_slopes(
     simulator: Simulator, theta: Float[np.ndarray, " d"], y: Float[np.ndarray, "channels time"], given: Sequence[Law]
 ) -> Float[np.ndarray, "k channels time"]:
-    """Change of the series y at theta per unit of each law's size."""
-    changes = np.zeros((len(given), *y.shape))
+    """Change of the series y at theta per unit of each law's size: simulated in the windows in which it acts."""
+    changes, windows = np.zeros((len(given), *y.shape)), simulator.windows.t.shape
     together: dict[str, list[int]] = {}
     for k, law in enumerate(given):
         if law.target.row is None:
             together.setdefault(law.signal, []).append(k)
         else:
             changes[k, simulator.windows.channels.index(MEASUREMENTS[law.target.row])] = law.course.reshape(-1)
-    for rows in together.values():
+
+    def simulate(rows: list[int]) -> None:
+        acts = given[rows[0]].course.any(axis=1)
         steps = STEP * np.array([given[k].target.size.high for k in rows])
-        moved = under(simulator, [given[k] for k in rows]).noise_free(
-            np.column_stack([np.tile(theta, (len(rows), 1)), np.diag(steps)])
-        )
-        changes[rows] = (moved - y) / steps[:, None, None]
+        there = under(simulator, [given[k] for k in rows]).only(np.flatnonzero(acts))
+        moved = there.noise_free(np.column_stack([np.tile(theta, (len(rows), 1)), np.diag(steps)]))
+        samples = np.repeat(acts, windows[1])
+        changes[np.ix_(rows, range(len(y)), samples)] = (moved - y[:, samples]) / steps[:, None, None]
+
+    each(simulate, together.values())
     return changes
