@@ -153,6 +153,11 @@ WRONG: Mapping[str, tuple[str, str]] = {
         "rounds: Rounds.__init__() missing 1 required keyword-only argument: 'count'",
     ),
     "no key=value": ("seed", "cannot read 'seed' as key=value: missing EQUAL"),
+    "a letter outside quotes": (
+        "rounds=se&veral",
+        "cannot read 'rounds=se&veral' as key=value: '&' stands outside quotes; write \"key='value'\"",
+    ),
+    "a line's end": ("seed=1\n", r"cannot read 'seed=1\n' as key=value: '\n' stands outside quotes"),
     "unclosed": ("rounds=[a", "cannot read 'rounds=[a' as key=value: "),
     "sweep without -m": ("seed=1,2", "Ambiguous value for argument 'seed=1,2' "),
     "unknown target": (

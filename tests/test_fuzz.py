@@ -1,22 +1,44 @@
-"""Whatever a file holds, reading ends in a recording or in one line, soon and in little memory.
+"""Whatever a file or a command line holds, it ends in a recording or a study, or in one line, soon, in little memory.
 
 Files are those of a right drive with a few changes, so that many get past the first check; causes are counted, not
-inputs: a failing example is shrunk to the smallest by hypothesis.
+inputs: a failing example is shrunk to the smallest by hypothesis, and what was told is counted by kind (`pytest -rP`).
 """
 
+from _entry.command_line import spelled_out
+from _entry.construction import check_construction
+from _entry.sentences import sentence
+
+import io
 import os
+import re
+import shlex
 import time
 import tracemalloc
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+import can
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import ROOT
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from omegaconf import OmegaConf
+from test_can import MAPPING as OF_CAN
+from test_can import database, frames
+from test_formats import vbo
+from test_matlab import MAPPING as OF_MATLAB
+from test_matlab import written as matlab
+from test_mdf import MAPPING as OF_MDF
+from test_mdf import written as mdf
+from test_rosbag import AUTOWARE
+from test_rosbag import written as bag
 
+from vehicle_sbi.command import CONF
 from vehicle_sbi.data.mapping import mapping_file
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
@@ -84,43 +106,83 @@ def changed(draw: st.DrawFn, text: str) -> str:
     return text
 
 
-def attempt(read: Callable[[], object]) -> bool:
-    """Whether something was read, else one line told why; both soon, and in little memory."""
+@st.composite
+def changed_bytes(draw: st.DrawFn, content: bytes) -> bytes:
+    """The content with one to four changes: a bit, a byte, a stretch that is cut, said twice or zero, an early end."""
+    for _ in range(draw(st.integers(1, 4))):
+        at, long = draw(st.integers(0, max(len(content) - 1, 0))), draw(st.integers(1, 64))
+        before, stretch, after = content[:at], content[at : at + long], content[at + long :]
+        match draw(st.sampled_from(["bit", "byte", "cut", "twice", "zero", "end"])):
+            case "bit":
+                flipped = bytes([content[at] ^ (1 << draw(st.integers(0, 7)))]) if content else b""
+                content = before + flipped + content[at + 1 :]
+            case "byte":
+                content = before + bytes([draw(st.integers(0, 255))]) + content[at + 1 :]
+            case "cut":
+                content = before + after
+            case "twice":
+                content = before + stretch + stretch + after
+            case "zero":
+                content = before + bytes(len(stretch)) + after
+            case "end":
+                content = before
+    return content
+
+
+def attempt(read: Callable[[], object]) -> str:
+    """The line that was told, empty where something was read; both soon."""
     begin = time.perf_counter()
     try:
         read()
-        return True
+        return ""
     except InputError as error:
         said = str(error)
     finally:
         assert time.perf_counter() - begin < SLOWEST_S
     assert "\n" not in said
-    assert len(said) < 1000
-    return False
+    assert 0 < len(said) < 1000
+    return said
 
 
-def fuzzed(path: Path, text: str, read: Callable[[], object]) -> None:
-    """Read many changed copies of a text; enough of them are right."""
-    counts: Counter[bool] = Counter()
+def kind_of(said: str) -> str:
+    """A line without what differs from input to input: paths, numbers, and what is quoted."""
+    return re.sub(r"'[^']*'|\"[^\"]*\"|/\S*|[-+\d][\w.+-]*", "…", said)
 
-    @QUIET
-    @given(changed(text))
-    def example(one: str) -> None:
-        path.write_bytes(one.encode("utf-8", "surrogatepass"))
-        counts[attempt(read)] += 1
+
+def fuzzed(changes: st.SearchStrategy, read: Callable[..., object], examples: int = EXAMPLES) -> None:
+    """Read many changed copies; enough of them are right."""
+    kinds: Counter[str] = Counter()
+
+    @settings(QUIET, max_examples=examples)
+    @given(changes)
+    def example(one: object) -> None:
+        kinds[kind_of(attempt(lambda: read(one)))] += 1
 
     example()
-    assert counts[True] >= VALID * counts.total(), counts
+    print(
+        f"{kinds.total()} inputs, {kinds['']} of them read; {len(kinds) - 1} kinds of lines, the most frequent of them:"
+    )
+    print("\n".join(f"{count:6d} {kind[:100]}" for kind, count in kinds.most_common(6) if kind))
+    assert kinds[""] >= VALID * kinds.total(), kinds
+
+
+def of_text(path: Path, text: str, read: Callable[[], object]) -> None:
+    """The same of a text in a file."""
+
+    def one(changed_text: str) -> None:
+        path.write_bytes(changed_text.encode("utf-8", "surrogatepass"))
+        read()
+
+    fuzzed(changed(text), one)
 
 
 def test_csv(tmp_path: Path) -> None:
     path = tmp_path / "drive.csv"
-    fuzzed(path, CSV, lambda: RecordingFile(path=path).load())
+    of_text(path, CSV, lambda: RecordingFile(path=path).load())
 
 
 def test_a_csv_takes_memory_in_proportion_to_its_size(tmp_path: Path) -> None:
     path = tmp_path / "drive.csv"
-    counts: Counter[bool] = Counter()
     attempt(lambda: RecordingFile(path=path).load())  # libraries are imported
 
     @settings(QUIET, max_examples=EXAMPLES // 5)
@@ -128,7 +190,7 @@ def test_a_csv_takes_memory_in_proportion_to_its_size(tmp_path: Path) -> None:
     def example(text: str) -> None:
         path.write_bytes(text.encode())
         tracemalloc.start()
-        counts[attempt(lambda: RecordingFile(path=path).load())] += 1
+        attempt(lambda: RecordingFile(path=path).load())
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert peak < BASE_MEMORY + MEMORY * len(text)
@@ -138,7 +200,7 @@ def test_a_csv_takes_memory_in_proportion_to_its_size(tmp_path: Path) -> None:
 
 def test_vehicle_files(tmp_path: Path) -> None:
     path = tmp_path / "car.yaml"
-    fuzzed(path, VEHICLE, lambda: read_vehicle(str(path)))
+    of_text(path, VEHICLE, lambda: read_vehicle(str(path)))
 
 
 def test_mapping_files(tmp_path: Path) -> None:
@@ -146,7 +208,77 @@ def test_mapping_files(tmp_path: Path) -> None:
     t = np.arange(0.0, 2.0, 0.02)
     table = [f"{x:.6g},{20 * np.sin(3 * x):.6g},{50 + x:.6g},{51 + x:.6g},{0.1 * np.sin(3 * x):.6g},1.0" for x in t]
     drive.write_text("\n".join(["time,swa,vl,vr,ay,ay2", *table]) + "\n")
-    fuzzed(path, MAPPING, lambda: RecordingFile(path=drive, mapping=mapping_file(path)).load())
+    of_text(path, MAPPING, lambda: RecordingFile(path=drive, mapping=mapping_file(path)).load())
+
+
+def test_vbo(tmp_path: Path) -> None:
+    rows = [f"012 {120000.0 + t:.2f} {54.0 + t:.3f} {0.3 * np.sin(3 * t):.4f}" for t in np.arange(0.0, 2.0, 0.02)]
+    path = vbo(tmp_path, rows)
+    mapping = {"v_x": {"column": "v-kmh"}, "a_y": {"column": "Lat._acc", "unit": "g"}}
+    of_text(path, path.read_text("latin-1"), lambda: RecordingFile(path=path, mapping=mapping).load())
+
+
+def parquet(folder: Path) -> Path:
+    pd.read_csv(io.StringIO(CSV)).to_parquet(folder / "drive.parquet")
+    return folder / "drive.parquet"
+
+
+def mcap(folder: Path) -> Path:
+    return next(bag(folder, "ros2 mcap").glob("*.mcap"))
+
+
+def blf(folder: Path) -> Path:
+    path = folder / "drive.blf"
+    with can.BLFWriter(path, compression_level=0) as writer:
+        for message in frames(database(folder)):
+            writer(message)
+    return path
+
+
+BINARY: dict[str, tuple[Callable[[Path], Path], dict[str, object]]] = {
+    "parquet": (parquet, {}),
+    "mat": (lambda folder: matlab(folder, compressed=False), {"mapping": OF_MATLAB}),
+    "mdf": (mdf, {"mapping": OF_MDF}),
+    "mcap": (mcap, {"mapping": AUTOWARE}),
+    "blf": (blf, {"mapping": OF_CAN}),
+}
+
+
+@pytest.mark.parametrize("kind", BINARY)
+def test_binary_files(tmp_path: Path, kind: str) -> None:
+    write, options = BINARY[kind]
+    path = write(tmp_path)
+    settings = options | ({"dbc": str(tmp_path / "car.dbc")} if kind == "blf" else {})
+
+    def read(content: bytes) -> None:
+        path.write_bytes(content)
+        RecordingFile(path=path, **settings).load()  # pyright: ignore[reportArgumentType]
+
+    fuzzed(changed_bytes(path.read_bytes()), read, EXAMPLES // 5)
+
+
+WORDS = "prior=default estimator=nsf model=single_track rounds.last=3000 noise=paper seed=7 manoeuvre=paper_strong"
+
+
+def test_command_lines() -> None:
+    def compose_and_construct(text: str) -> None:
+        try:
+            words = shlex.split(text)
+        except ValueError:  # the shell would have asked for the quotation's end
+            return
+        try:
+            with initialize_config_dir(config_dir=str(CONF), version_base=None):
+                cfg = compose("config", overrides=spelled_out(words))
+            check_construction(OmegaConf.to_container(cfg, resolve=True))
+            instantiate(cfg.study), instantiate(cfg.rounds)
+        except Exception as error:
+            line = sentence(error)
+            if line is None:
+                raise
+            raise InputError(line) from None
+
+    compose_and_construct(WORDS)  # libraries are imported
+    fuzzed(changed(WORDS), compose_and_construct, EXAMPLES // 5)
 
 
 @pytest.mark.parametrize("name", ["fahrt_ä.csv", "走行.csv", "a b'c.csv", "$x;y.csv"])

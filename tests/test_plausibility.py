@@ -326,3 +326,17 @@ def test_what_no_car_can_be_is_refused_before_anything_is_inferred(name: str, fa
     with pytest.raises(InputError, match=rf"{name} is beyond .* which no car reaches"):
         refuse_impossible(recording(right | {name: factor * (right[name] + 1e-3)}), right)
     refuse_impossible(recording(right | {name: factor * right[name]}), ())  # what is not used may be anything
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.05, False), (0.33, True)])
+def test_samples_that_no_car_can_have_are_left_out_or_refuse_the_channel(share: float, refused: bool) -> None:
+    right = healthy("slalom")
+    wrong = np.random.default_rng(0).random(len(right["steering"])) < share
+    one = recording(right | {"steering": np.where(wrong, 1e300, right["steering"])})
+    beyond, _ = absurd("steering", one.channels["steering"], RATE)
+    assert np.array_equal(beyond, wrong & (not refused))
+    if refused:
+        with pytest.raises(InputError, match=r"steering is beyond 1\.4 rad in 3[0-9]% of the time"):
+            refuse_impossible(one, right)
+    else:
+        refuse_impossible(one, right)

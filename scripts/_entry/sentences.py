@@ -76,7 +76,10 @@ def _unknown_option(error: MissingConfigException) -> str:
 @sentence.register
 def _unreadable_override(error: OverrideParseException) -> str:
     reason = str(error).partition("\nSee ")[0].rpartition("\n")[2]
-    return f"cannot read '{error.override}' as key=value: {reason}"
+    if reason.strip() == "^":  # which stands under the first character that Hydra's grammar does not know
+        character = error.override[reason.index("^") - len("LexerNoViableAltException: ")]
+        reason = f"{character!r} stands outside quotes; write \"key='value'\""
+    return f"cannot read {_printable(error.override)} as key=value: {reason}"
 
 
 @sentence.register
@@ -135,6 +138,11 @@ def _first_cause(error: BaseException) -> BaseException:
 
 def _without_search_path(error: Exception) -> str:
     return str(error).partition("Config search path:")[0]
+
+
+def _printable(typed: str) -> str:
+    """What was typed in quotes, with escapes where it would not be one line."""
+    return f"'{typed}'" if typed.isprintable() else repr(typed)
 
 
 def _one_line(text: object) -> str:

@@ -23,8 +23,8 @@ LIMITS: Mapping[str, float] = {
 }
 """What no vehicle's channel goes beyond, in its own unit."""
 
-BROKEN = 0.1  # share of samples beyond a limit, from which it is the unit rather than the samples that is wrong
-IMPOSSIBLE = 0.5  # share of them, from which nothing can be identified
+BROKEN = 0.1  # share of samples beyond a limit, from which it is the unit rather than the samples that is wrong, and
+# nothing can be identified
 RUN_S = 1.0  # [s] that a run of absurd samples lasts at most
 JUMP, BACK = 10.0, 0.25  # times all but the largest usual changes, and of the jump that is not taken back
 MOST_JUMPED = 0.02  # share of samples in such runs, from which it is what the channel does
@@ -78,10 +78,10 @@ def beyond_limits(recording: Recording) -> Iterator[Finding]:
 
 
 def refuse_impossible(recording: Recording, used: Iterable[str]) -> None:
-    """InputError for the first of the channels that are used of which most lies beyond what any vehicle can be."""
+    """InputError for the first of the channels that are used that lies too often beyond what any vehicle can be."""
     for name in used:
         share = _share_beyond(recording, name)
-        if share > IMPOSSIBLE:
+        if share > BROKEN:
             raise InputError(
                 f"{recording.source}: {_beyond(name, share)}, which no car reaches: is its unit {CHANNELS[name].unit}? "
                 "`inspect` says more"
