@@ -144,8 +144,8 @@ def write(by_length: list[Run], by_simulations: list[Run]) -> None:
     text = [
         "# Seconds and memory against the length of a recording",
         "",
-        f"{RATE:g} Hz, six channels, defaults of each script. {machine}. Another benchmark ran beside at the lowest",
-        f"priority, so seconds are upper bounds. A run is ended after {TIMEOUT_S:.0f} s. An exponent of 1 is linear.",
+        f"{RATE:g} Hz, six channels, defaults of each script. {machine}.",
+        f"A run is ended after {TIMEOUT_S:.0f} s. An exponent of 1 is linear.",
         "",
         *table(by_length, "recording"),
     ]

@@ -13,7 +13,8 @@ from test_inclusion import SHARED, problem
 
 from vehicle_sbi import threads
 from vehicle_sbi.mismatch.selection import ahead
-from vehicle_sbi.mismatch.selection.inclusion import Chain, run_chain, sample
+from vehicle_sbi.mismatch.selection.gibbs import run_chain
+from vehicle_sbi.mismatch.selection.inclusion import Chain, sample
 
 
 @pytest.fixture

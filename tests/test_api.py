@@ -13,6 +13,7 @@ import pytest
 from cars import PAPER
 from studies import manoeuvre, simulator
 from test_formats import logger_text
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from vehicle_sbi import diagnose, identify, read, simulate
 from vehicle_sbi.api import Diagnosed, Identified
@@ -163,6 +164,20 @@ def test_a_recording_in_memory_is_diagnosed() -> None:
     for row in found.parameters.to_dict("records"):
         draws = found.datatree["posterior"].to_dataset()[str(row["parameter"])]
         assert float(draws.mean()) == pytest.approx(row["mean after"], rel=1e-9)
+
+
+def test_a_diagnosis_has_linear_algebra_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Reached(Exception):
+        pass
+
+    def steps(case: object, *, rng: object) -> None:
+        raise Reached([pool["num_threads"] for pool in threadpool_info()])
+
+    monkeypatch.setattr("vehicle_sbi.api.steps", steps)
+    monkeypatch.setattr("vehicle_sbi.api.ahead.begin", lambda: None)
+    with threadpool_limits(2), pytest.raises(Reached) as reached:
+        diagnose(read(SHIPPED, rate=20.0, stop_s=80.0), "ferrari_250lm")
+    assert set(reached.value.args[0]) == {1}
 
 
 @pytest.mark.slow

@@ -4,8 +4,12 @@ import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 from test_run_script import ENVIRONMENT, QUICK, run
+
+from vehicle_sbi.errors import InputError
+from vehicle_sbi.report import manifest as manifests
 
 Harm = Callable[[Path, Path], object]
 
@@ -51,6 +55,25 @@ def test_every_file_of_a_finished_run(runs: tuple[Path, Path], tmp_path: Path, h
         else:
             assert (folder / "table.csv").read_bytes() == (whole / "table.csv").read_bytes(), str(name)
             assert (folder / name).exists(), str(name)
+
+
+@pytest.mark.slow
+def test_a_bit_at_any_of_a_hundred_places_of_a_file_is_noticed(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    folder = shutil.copytree(runs[0], tmp_path / "run")
+    files = manifests.read(folder)["files"]
+    assert {"table.csv", "samples.parquet", "posterior.pt", "posterior.nc"} <= files.keys()
+    for name in [*files, manifests.FILE]:
+        whole = (folder / name).read_bytes()
+        for place in np.unique(np.linspace(0, len(whole) - 1, 100).astype(int)):
+            changed = bytearray(whole)
+            changed[place] ^= 1 << int(place % 8)
+            (folder / name).write_bytes(changed)
+            if name == manifests.FILE:
+                with pytest.raises(InputError):
+                    manifests.read(folder)
+            else:
+                assert not manifests.intact(folder / name, files[name]), f"{name}, byte {place}"
+        (folder / name).write_bytes(whole)
 
 
 @pytest.mark.slow

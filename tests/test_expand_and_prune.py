@@ -31,7 +31,8 @@ from vehicle_sbi.mismatch.selection.expand_and_prune import (
     groups_of,
 )
 from vehicle_sbi.mismatch.selection.extended import with_effects
-from vehicle_sbi.mismatch.selection.inclusion import Chain, _Believed, _started
+from vehicle_sbi.mismatch.selection.gibbs import started
+from vehicle_sbi.mismatch.selection.inclusion import Chain
 from vehicle_sbi.mismatch.selection.pruned import Pruned, folded
 from vehicle_sbi.parameters import Parameter
 
@@ -145,7 +146,7 @@ def test_a_fit_believes_of_what_is_always_there_what_the_sampler_does(expanded: 
     expansion, _ = expanded
     groups = groups_of(expansion, [], stated())
     none, n = np.zeros(len(groups.stop), dtype=np.int64), len(expansion.unit)
-    sampled = _started(np.eye(n), np.zeros(n), _Believed.of(groups), none).precision[: groups.start]
+    sampled = started(np.eye(n), np.zeros(n), groups.believed, none).precision[: groups.start]
     held = expansion.precision(np.full(len(expansion.sizes), WIDER))[order(expansion)][: groups.start]
     np.testing.assert_array_equal(held, sampled)
 

@@ -9,15 +9,8 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 from vehicle_sbi import threads
-from vehicle_sbi.mismatch.selection.inclusion import (
-    Chain,
-    Groups,
-    Shared,
-    _drawn,
-    _log_box,
-    _log_slab,
-    sample,
-)
+from vehicle_sbi.mismatch.selection.gibbs import _drawn, _log_box, _log_slab
+from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Shared, sample
 from vehicle_sbi.mismatch.selection.inverse import factorised, set_precision
 from vehicle_sbi.mismatch.selection.likeness import UNLIKE, likeness
 

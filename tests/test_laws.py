@@ -37,14 +37,15 @@ def test_slopes_are_what_a_small_size_does(name: str) -> None:
     assert np.abs(law_slopes(sim, TRUTH, y, [one])[0] - central).max() < 0.05 * np.abs(central).max()
 
 
-def test_where_a_law_does_not_act_nothing_changes() -> None:
+@pytest.mark.parametrize("acting", [[], [1], [0, 2]])
+def test_where_a_law_does_not_act_nothing_changes(acting: list[int]) -> None:
     # Simulated in some windows alone, it does there what it does in all of them, digit by digit.
     once = lateral()
     sim = replace(once, windows=repeated(once.windows, 3))
     y = sim.noise_free(TRUTH[None])[0]
     target = law("moment about z with steering").target
     course = np.zeros(sim.windows.t.shape)
-    course[1] = np.sin(np.arange(course.shape[1]))
+    course[acting] = np.sin(np.arange(course.shape[1]))
     size = STEP * target.size.high
     everywhere = under(sim, [Law(target, "alone", course)]).noise_free(np.array([[*TRUTH, size]]))[0]
     np.testing.assert_array_equal(law_slopes(sim, TRUTH, y, [Law(target, "alone", course)])[0], (everywhere - y) / size)

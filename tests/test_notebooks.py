@@ -1,8 +1,6 @@
 """Notebooks of the docs: committed as they ran, small, and they run anew."""
 
-import os
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import nbformat
@@ -46,21 +44,6 @@ def test_a_notebook_is_small_and_names_no_place_of_this_machine(path: Path) -> N
     assert len(content) < SMALL
     assert str(ROOT).encode() not in content
     assert b"/tmp/" not in content
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_threads_are_set_before_anything_is_imported_that_reads_their_number(path: Path) -> None:
-    first = next(cell.source for cell in opened(path).cells if cell.cell_type == "code")
-    namespace: dict[str, Any] = {}
-    before = {**os.environ}
-    try:
-        exec(first, namespace)
-        threads = [os.environ[f"{name}_NUM_THREADS"] for name in ("OMP", "OPENBLAS", "MKL")]
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
-    assert threads == ["1"] * 3
-    assert [name for name, value in namespace.items() if isinstance(value, ModuleType)] == ["os"]
 
 
 @pytest.mark.slow

@@ -1,5 +1,8 @@
 """The same work for several things on threads: same results and errors as one after another, on as many as allowed."""
 
+import os
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 
@@ -74,3 +77,25 @@ def test_cores_that_are_not_there_are_refused(wanted: int) -> None:
     with pytest.raises(InputError, match=r"engine\.cores = .*; this machine has 1 to "):
         use_cores(wanted)
     assert cores() == before
+
+
+def test_linear_algebra_and_torch_have_one_thread_within_and_as_many_as_before_afterwards() -> None:
+    # In a process of its own, whose environment says nothing of threads.
+    code = """
+import torch
+from threadpoolctl import threadpool_info
+from vehicle_sbi.threads import algebra_on_one_thread
+
+def counts():
+    return [torch.get_num_threads(), *(pool["num_threads"] for pool in threadpool_info())]
+
+torch.set_num_threads(2)
+before = counts()
+with algebra_on_one_thread():
+    within = counts()
+print(max(within), counts() == before, max(before))
+"""
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout.split()[:2] == ["1", "True"]
+    assert int(ran.stdout.split()[2]) >= 2

@@ -1,8 +1,7 @@
 """The package in Python: `from vehicle_sbi import read, identify, diagnose, simulate`.
 
-What is not said is as the command line has it: defaults come from the same files in conf/. Set OMP_NUM_THREADS,
-OPENBLAS_NUM_THREADS and MKL_NUM_THREADS to 1 before numpy is imported, as the scripts do: threads of torch beside those
-of the simulations make a study many times slower.
+What is not said is as the command line has it: defaults come from the same files in conf/, and the same numbers come
+out.
 """
 
 import json
@@ -42,6 +41,7 @@ from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.manifest import code, digest
 from vehicle_sbi.rng import Stream, generator
 from vehicle_sbi.rounding import mean_and_std
+from vehicle_sbi.threads import algebra_on_one_thread
 
 if TYPE_CHECKING:  # they need torch, sbi or xarray, which take long to import
     from xarray import DataTree
@@ -234,14 +234,14 @@ def identify(
     built = {group: _chosen(group, name, settings.pop(group, name)) for group, name in parts.items()}
     study = Study(**_common(recording, vehicle, prior, settings, window_s=5.0), **built, truth=None)
     scheme = _chosen("rounds", "truncated", rounds)
-    prepared = study.prepare()
-    with tempfile.TemporaryDirectory() as nowhere:
+    with tempfile.TemporaryDirectory() as nowhere, algebra_on_one_thread():
+        prepared = study.prepare()
         asked = digest([repr(study), repr(scheme), prepared.inputs, code()])
         inference = infer(prepared.problem, scheme, _rounds(Path(folder or nowhere), asked), quiet=quiet)
-    found = results(prepared, inference, samples=samples, reweight=reweight)
+        found = results(prepared, inference, samples=samples, reweight=reweight)
+        warned = warnings_of(prepared, inference, found.table)
     names = list(prepared.problem.simulator.space.names)
     samples_by_name = pd.DataFrame(found.samples, columns=names)
-    warned = warnings_of(prepared, inference, found.table)
     return Identified(found.table, samples_by_name, prepared, inference, found.predicted, warned)
 
 
@@ -267,9 +267,10 @@ def diagnose(
         heldout=held,
         effect_prior=_built("effect_prior", effect_prior),
     )
-    case = diagnosis.prepare()
-    found = steps(case, rng=generator(seed=diagnosis.seed, stream=Stream.STUDY, index=2))
-    return Diagnosed(verdict(case, found), case, found)
+    with algebra_on_one_thread():
+        case = diagnosis.prepare()
+        found = steps(case, rng=generator(seed=diagnosis.seed, stream=Stream.STUDY, index=2))
+        return Diagnosed(verdict(case, found), case, found)
 
 
 def simulate(

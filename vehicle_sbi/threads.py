@@ -1,13 +1,16 @@
 """The cores that this process may use, and the same work for several things beside each other on them.
 
-Such work has to leave Python's lock for most of its time, as simulations and numpy's large arrays do.
+Such work has to leave Python's lock for most of its time, as simulations and numpy's large arrays do. Linear algebra
+and torch get one thread: more of them get in the way of simulations, and add up numbers in another order.
 """
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from typing import TypeVar
 
 from numba.core import config
+from threadpoolctl import threadpool_limits
 
 from vehicle_sbi.errors import InputError
 
@@ -29,6 +32,11 @@ def use_cores(wanted: int | None) -> None:
     if not isinstance(wanted, int) or not 1 <= wanted <= AVAILABLE:
         raise InputError(f"engine.cores = {wanted!r}; this machine has 1 to {AVAILABLE}")
     _used = wanted
+
+
+def algebra_on_one_thread() -> AbstractContextManager[object]:
+    """Within it, libraries of linear algebra and OpenMP that are loaded by now use one thread; afterwards as before."""
+    return threadpool_limits(1)
 
 
 def each(work: Callable[[Thing], Result], things: Iterable[Thing]) -> list[Result]:

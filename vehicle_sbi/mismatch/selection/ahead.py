@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from vehicle_sbi.mismatch.hypotheses.hypothesis import Belief
-from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Shared, run_chain, sample
+from vehicle_sbi.mismatch.selection.gibbs import run_chain
+from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Shared, sample
 from vehicle_sbi.threads import cores
 
 COLUMNS = 3  # one that is always there, and two groups of one each

@@ -1,0 +1,294 @@
+"""A chain of Gibbs sampling over the levels of groups, compiled: what `inclusion` runs.
+
+One group's amplitude is drawn given all others; with S = A^-1, m = S b and the eigenvalues e and vectors V of the
+group's block of S, a change d of its precision changes the log evidence by
+sum_i [ - 1/2 log(1 + d e_i) - 1/2 d u_i^2 / (1 + d e_i) ] + q/2 log(ratio of precisions),   u = V' m of the group.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vehicle_sbi.compiled import compiled_apart, compiled_beside
+from vehicle_sbi.mismatch.selection.inverse import LEAST, factorised, rounded, set_precision
+
+REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
+TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
+SWAPS = 6  # of two groups' states, tried in a sweep
+
+
+class Believed(NamedTuple):
+    """What is believed of groups, for compiled functions; group g has columns from first[g] to stop[g]."""
+
+    first: np.ndarray
+    stop: np.ndarray
+    amplitude: np.ndarray
+    share: np.ndarray
+    named: np.ndarray
+    sign: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    outside: float
+
+
+class State(NamedTuple):
+    """Where a chain is, all of which changes in place: the level of each group, each column's precision, S and m, and
+    the standard deviations of coefficients in slabs, else 0."""
+
+    level: np.ndarray
+    precision: np.ndarray
+    S: np.ndarray
+    m: np.ndarray
+    slab: np.ndarray
+
+
+@compiled_apart
+def _log_slab(mean: float, variance: float, sd: float, sign: int) -> float:
+    """Log of the expected weight x^2 / sd^2 of a coefficient x under its normal, none on the wrong side of zero.
+
+    With it, the normal of a slab is a moment prior (Johnson and Rossell 2010), which has no mass at zero.
+    """
+    square = (mean * mean + variance) / (sd * sd)
+    if sign == 0:
+        return math.log(square)
+    std = math.sqrt(variance)
+    z = sign * mean / std
+    if z < -20.0:  # the tail's expansion: the mean square is 2 phi(z) / |z|^3 (1 - 6 / z^2) variances
+        return -0.5 * z * z + math.log(TAIL * variance / (sd * sd)) - 3.0 * math.log(-z) + math.log1p(-6.0 / (z * z))
+    density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
+    part = square * 0.5 * math.erfc(-z / math.sqrt(2.0)) + z * variance / (sd * sd) * density
+    return math.log(max(2.0 * part, 1e-300))
+
+
+@compiled_apart
+def _log_box(mean: float, variance: float, low: float, high: float, outside: float) -> float:
+    """Log probability of a coefficient, under its normal, to be within its box, which is wrong with a probability."""
+    std = math.sqrt(2.0 * variance)
+    within = 0.5 * (math.erfc((low - mean) / std) - math.erfc((high - mean) / std))
+    return math.log((1.0 - outside) * within + outside)
+
+
+@compiled_apart
+def _chosen(log_weight: np.ndarray) -> int:
+    """One of several, with probability in proportion to its weight."""
+    weight = np.exp(log_weight - log_weight.max())
+    left = np.random.random() * weight.sum()
+    for k in range(len(weight)):
+        left -= weight[k]
+        if left <= 0.0:
+            return k
+    return len(weight) - 1
+
+
+@compiled_apart
+def _log_prior(level, believed, odds):
+    """Log prior of all groups' levels."""
+    total = 0.0
+    for g in range(len(level)):
+        total -= math.log1p(odds[g])
+        if level[g] > 0:
+            total += math.log(odds[g]) + math.log(believed.share[g, level[g]])
+    return total
+
+
+@compiled_apart
+def _level_evidence(g, believed, state):
+    """Of each level of a group the change of log evidence, mass of coefficients with bounds included."""
+    first, last, S, m = believed.first[g], believed.stop[g], state.S, state.m
+    amplitude, low, high = believed.amplitude, believed.low, believed.high
+    q, n = last - first, len(m)
+    e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
+    u = V.T @ m[first:last]
+    W = np.ascontiguousarray(S[:, first:last]) @ V
+    found = np.full(amplitude.shape[1], -np.inf)
+    for k in range(amplitude.shape[1]):
+        sd = amplitude[g, k]
+        if sd <= 0.0:
+            continue
+        to = 1.0 / sd**2
+        d = to - state.precision[first]
+        found[k] = 0.5 * q * math.log(to / state.precision[first])
+        c = np.empty(q)
+        for i in range(q):
+            grown = max(1.0 + d * max(e[i], 0.0), LEAST)
+            c[i] = d / grown
+            found[k] += -0.5 * math.log(grown) - 0.5 * c[i] * u[i] ** 2
+        for j in range(n):
+            inside = first <= j < last
+            width = _width(g, k, believed) if inside else state.slab[j]
+            boxed = j < len(low)
+            if width <= 0.0 and not boxed:
+                continue
+            mean, variance = m[j], S[j, j]
+            for i in range(q):
+                mean -= c[i] * W[j, i] * u[i]
+                variance -= c[i] * W[j, i] ** 2
+            variance = max(variance, 1e-300)
+            if boxed:
+                found[k] += _log_box(mean, variance, low[j], high[j], believed.outside)
+            else:
+                found[k] += _log_slab(mean, variance, width, believed.sign[j])
+    return found
+
+
+@compiled_apart
+def _width(g, level, believed):
+    """Standard deviation of a named coefficient in a slab; 0 in its spike, and of groups of several columns."""
+    alone = believed.stop[g] - believed.first[g] == 1
+    return believed.amplitude[g, level] if level > 0 and believed.named[g] and alone else 0.0
+
+
+@compiled_apart
+def _drawn(H, precision, m, sign, slab):
+    """Coefficients from their normal, those on the wrong side of zero drawn again one after another, as Gibbs does."""
+    n = len(m)
+    L = np.linalg.cholesky(H + np.diag(precision))
+    x = m + _solved_upwards(L, np.random.standard_normal(n))
+    held = [j for j in range(n) if sign[j] != 0 and slab[j] > 0.0]
+    for j in held:
+        if sign[j] * x[j] < 0.0:
+            x[j] = 0.0
+    for _ in range(4 if len(held) else 0):
+        off = H @ (x - m) + precision * (x - m)
+        for j in held:
+            a = H[j, j] + precision[j]
+            mean = x[j] - off[j] / a
+            to = sign[j] * _above_zero(sign[j] * mean, 1.0 / math.sqrt(a))
+            off += (to - x[j]) * H[:, j]
+            off[j] += (to - x[j]) * precision[j]
+            x[j] = to
+    return x
+
+
+@compiled_apart
+def _solved_upwards(L, z):
+    """x of L' x = z, L lower triangular; z is used up."""
+    for i in range(len(z) - 1, -1, -1):
+        z[i] /= L[i, i]
+        for j in range(i):
+            z[j] -= L[i, j] * z[i]
+    return z
+
+
+@compiled_apart
+def _above_zero(mean, std):
+    """A normal draw given that it is positive (Robert 1995)."""
+    low = -mean / std
+    if low < 1.0:
+        while True:
+            z = np.random.standard_normal()
+            if z > low:
+                return mean + std * z
+    rate = 0.5 * (low + math.sqrt(low * low + 4.0))
+    while True:
+        z = low + np.random.exponential(1.0 / rate)
+        if np.random.random() < math.exp(-0.5 * (z - rate) ** 2):
+            return mean + std * z
+
+
+@compiled_apart
+def started(H, b, believed, begin):
+    """A state with these levels."""
+    precision, slab = np.ones(len(b)), np.zeros(len(b))
+    for g in range(len(begin)):
+        own = slice(believed.first[g], believed.stop[g])
+        precision[own] = believed.amplitude[g, begin[g]] ** -2
+        slab[own] = _width(g, begin[g], believed)
+    S, m = factorised(H, b, precision)
+    return State(begin.copy(), precision, S, m, slab)
+
+
+@compiled_beside
+def run_chain(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
+    """One chain; levels, coefficients and their means of every so many sweeps."""
+    np.random.seed(seed)
+    (missings, discrepants), (sweeps, forgotten, every) = factors, counts
+    state, k = started(H, b, believed, begin), len(begin)
+    missing, discrepant = missings[-1], discrepants[-1]
+    kept = (sweeps - forgotten) // every
+    levels, values, means = np.zeros((kept, k), np.int64), np.zeros((kept, len(b))), np.zeros((kept, len(b)))
+    row = 0
+    for sweep in range(sweeps):
+        odds = _odds(rate_odds, believed, missing, discrepant)
+        for _ in range(k):
+            g = np.random.randint(k)
+            weight = _log_weights(g, believed, state)
+            weight[1:] += math.log(odds[g])
+            _put(g, _chosen(weight), H, b, believed, state)
+        for _ in range(SWAPS):
+            _swap(alike, odds, H, b, believed, state)
+        if sweep % REFRESHED == 0:
+            state.S[:], state.m[:] = factorised(H, b, state.precision)
+        tried = [_log_prior(state.level, believed, _odds(rate_odds, believed, one, discrepant)) for one in missings]
+        missing = missings[_chosen(np.array(tried))]
+        tried = [_log_prior(state.level, believed, _odds(rate_odds, believed, missing, one)) for one in discrepants]
+        discrepant = discrepants[_chosen(np.array(tried))]
+        if sweep >= forgotten and (sweep - forgotten) % every == 0 and row < kept:
+            levels[row] = state.level
+            values[row] = _drawn(H, state.precision, state.m, believed.sign, state.slab)
+            means[row] = state.m
+            row += 1
+    return levels, values, means
+
+
+@compiled_apart
+def _odds(rate_odds, believed, missing, discrepant):
+    """Odds of all groups, with the factors that effects and discrepancies share."""
+    return rate_odds * np.where(believed.named, missing, discrepant)
+
+
+@compiled_apart
+def _log_weights(g, believed, state):
+    """Of each level of a group the log of share and evidence, over those of the first."""
+    weight, share = _level_evidence(g, believed, state), believed.share[g]
+    weight -= weight[0]
+    for one in range(1, len(weight)):
+        weight[one] += math.log(share[one]) if share[one] > 0.0 else -np.inf
+    return weight
+
+
+@compiled_apart
+def _put(g, to, H, b, believed, state):
+    """Give a group another level.
+
+    Where groups that are like each other come and go, rounding grows by up to their ratio of precisions each time.
+    """
+    if to == state.level[g]:
+        return
+    first, stop = believed.first[g], believed.stop[g]
+    set_precision(first, stop, believed.amplitude[g, to] ** -2, state.precision, state.S, state.m)
+    state.level[g] = to
+    state.slab[first:stop] = _width(g, to, believed)
+    if rounded(first, H, state.precision, state.S):
+        state.S[:], state.m[:] = factorised(H, b, state.precision)
+
+
+@compiled_apart
+def _swap(alike, odds, H, b, believed, state):
+    """Exchange one group that is in for another that is out and is like it, if Metropolis and Hastings accept it.
+
+    Groups are tried in proportion to `alike` (k, k); with all levels of both, so that one replaces the other at once,
+    whatever their sizes are.
+    """
+    there, absent = np.flatnonzero(state.level > 0), np.flatnonzero(state.level == 0)
+    if len(there) == 0 or len(absent) == 0:
+        return
+    g = there[np.random.randint(len(there))]
+    h = absent[_chosen(np.log(alike[g][absent]))]
+    ways, ways_back = alike[g][absent].sum(), alike[h][absent].sum() - alike[h, h] + alike[h, g]
+    before = state.level[g]
+    _put(g, 0, H, b, believed, state)
+    of_g, of_h = _log_weights(g, believed, state)[1:], _log_weights(h, believed, state)[1:]
+    ratio = _log_sum(of_h) + math.log(odds[h] * ways) - _log_sum(of_g) - math.log(odds[g] * ways_back)
+    if math.log(np.random.random()) < ratio:
+        _put(h, 1 + _chosen(of_h), H, b, believed, state)
+    else:
+        _put(g, before, H, b, believed, state)
+
+
+@compiled_apart
+def _log_sum(log_weight):
+    """Log of a sum of weights."""
+    most = log_weight.max()
+    return most + math.log(np.exp(log_weight - most).sum())
