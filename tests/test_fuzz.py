@@ -312,3 +312,12 @@ def test_a_mapping_s_numbers_are_numbers(tmp_path: Path, line: str) -> None:
     (tmp_path / "drive.csv").write_text(CSV)
     with pytest.raises(InputError, match=f"v_x: {line.partition(':')[0]} = "):
         RecordingFile(path=tmp_path / "drive.csv", mapping=mapping_file(mapping)).load()
+
+
+@pytest.mark.parametrize("candidate", ["null", "1", "speed", "[{column: a_y_mps2}]"])
+def test_a_candidate_of_a_mapping_is_settings(tmp_path: Path, candidate: str) -> None:
+    mapping = tmp_path / "mine.yaml"
+    mapping.write_text(f"a_y: [{candidate}]\n")
+    (tmp_path / "drive.csv").write_text(CSV)
+    with pytest.raises(InputError, match=r"channel a_y: must be settings, \{name: value\}, not "):
+        RecordingFile(path=tmp_path / "drive.csv", mapping=mapping_file(mapping)).load()

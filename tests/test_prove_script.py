@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from conftest import ROOT
 from test_run_script import ENVIRONMENT
@@ -50,3 +51,15 @@ def test_a_case_is_built_diagnosed_and_scored_and_nothing_is_done_twice(tmp_path
     status, _, err = prove("cases=1", "seed=2", "mix=nothing", *where)
     assert status == 2
     assert "holds cases of seed 8, mix nothing, not of seed 2, mix nothing; name another folder" in err
+
+
+@pytest.mark.slow
+def test_a_cluster_finds_what_one_process_finds(tmp_path: Path) -> None:
+    tables = []
+    for name, words in (("local", ["engine=local", "workers=1"]), ("dask", ["engine=dask", "workers=2"])):
+        where = [f"folder={tmp_path}/{name}", f"results={tmp_path}/results_{name}", "baselines=false", *words]
+        status, _, err = prove("cases=2", "seed=8", "mix=nothing", *where)
+        assert status == 0, err
+        tables.append(pd.read_csv(tmp_path / f"results_{name}" / "nothing.csv").drop(columns="seconds"))
+    pd.testing.assert_frame_equal(*tables, check_exact=True)
+    assert len(tables[0]) == 2

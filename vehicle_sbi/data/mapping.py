@@ -165,9 +165,11 @@ def mapping_file(path: Path) -> Mapping[str, Candidates]:
 
 
 def built(kind: type[Built], given: Built | Mapping[str, Any], where: str) -> Built:
-    """`given`, or what its settings construct; InputError for a setting that does not exist."""
-    if not isinstance(given, Mapping):
+    """`given`, or what its settings construct; InputError for what is neither, or a setting that does not exist."""
+    if isinstance(given, kind):
         return given
+    if not isinstance(given, Mapping):
+        raise InputError(f"{where}: must be settings, {{name: value}}, not {given!r}")
     known = fields(kind)  # pyright: ignore[reportArgumentType]
     strange = [str(name) for name in given if name not in [one.name for one in known]]
     if strange:
