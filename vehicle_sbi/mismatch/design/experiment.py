@@ -119,7 +119,8 @@ def _walking(simulator: Simulator) -> Simulator:
 
 def _finer(simulator: Simulator, factor: float | Float[np.ndarray, " windows"]) -> Simulator:
     """With steps that are short enough at so many times the speed: the fastest modes are quicker, the slower it is."""
-    return replace(simulator, substeps=np.ceil(simulator.substeps / np.minimum(factor, 1.0)).astype(int))
+    steps = np.full(len(simulator.windows.u), simulator.substeps)
+    return replace(simulator, substeps=np.ceil(steps / np.minimum(factor, 1.0)).astype(int))
 
 
 STEERED: Mapping[str, Change] = {
