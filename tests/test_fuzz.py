@@ -270,7 +270,8 @@ def test_command_lines() -> None:
             with initialize_config_dir(config_dir=str(CONF), version_base=None):
                 cfg = compose("config", overrides=spelled_out(words))
             check_construction(OmegaConf.to_container(cfg, resolve=True))
-            instantiate(cfg.study), instantiate(cfg.rounds)
+            instantiate(cfg.study)
+            instantiate(cfg.rounds)
         except Exception as error:
             line = sentence(error)
             if line is None:

@@ -150,8 +150,8 @@ def law_slopes(
         steps = STEP * np.array([given[k].target.size.high for k in rows])
         there = under(simulator, [given[k] for k in rows]).only(np.flatnonzero(acts))
         moved = there.noise_free(np.column_stack([np.tile(theta, (len(rows), 1)), np.diag(steps)]))
-        samples = np.repeat(acts, windows[1])
-        changes[np.ix_(rows, range(len(y)), samples)] = (moved - y[:, samples]) / steps[:, None, None]
+        samples = np.flatnonzero(np.repeat(acts, windows[1]))
+        changes[np.ix_(np.array(rows), np.arange(len(y)), samples)] = (moved - y[:, samples]) / steps[:, None, None]
 
     each(simulate, together.values())
     return changes
