@@ -1,5 +1,7 @@
 """Raw CAN in BLF, ASC and MDF4: frames decode as `cantools` decodes them, and come back as the drive."""
 
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -170,3 +172,25 @@ def test_foreign_files_are_refused(tmp_path, suffix, content):
 @pytest.mark.parametrize("suffix", [".blf", ".asc", ".mf4"])
 def test_damaged_bytes_never_get_more_than_a_line(tmp_path, suffix):
     damaged(log(tmp_path, suffix), mapping=MAPPING, dbc=str(tmp_path / "car.dbc"))
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("level", [0, 9])
+def test_an_object_without_length_is_refused_rather_than_read_for_ever(tmp_path, level):
+    path = tmp_path / "drive.blf"
+    with can.BLFWriter(path, compression_level=level) as writer:
+        for message in frames(database(tmp_path)):
+            writer(message)
+    content = bytearray(path.read_bytes())
+    if level:  # the packed container is replaced by one that is not, of a single object of another kind
+        content = bytearray(path.read_bytes()[:144])
+        inner = struct.pack("<4sHHII", b"LOBJ", 16, 1, 0, 99) + bytes(64)
+        packed = zlib.compress(inner)
+        content += struct.pack("<4sHHII", b"LOBJ", 16, 1, 32 + len(packed), 10) + struct.pack("<H6xI4x", 2, len(inner))
+        content += packed + bytes(8)
+    else:
+        second = content.index(b"LOBJ", content.index(b"LOBJ") + 4)
+        content[second + 8 : second + 16] = struct.pack("<II", 0, 99)
+    content[16:24] = bytes(8)  # how long the file is
+    path.write_bytes(content)
+    refused(path, "an object of the log states a length of 0 bytes", mapping=MAPPING, dbc=str(tmp_path / "car.dbc"))

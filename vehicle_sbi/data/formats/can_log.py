@@ -2,6 +2,7 @@
 
 import os
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -52,10 +53,10 @@ def read(path: Path, dbc: Path | None) -> tuple[Table, ...]:
 
 
 def _check_unpacked(path: Path) -> None:
-    """Raise InputError if the containers of a BLF unpack to too much."""
+    """Raise InputError if the containers of a BLF unpack to too much, or to an object that would be read for ever."""
     if path.suffix.lower() != ".blf":
         return
-    budget = Budget(path)
+    budget, left = Budget(path), b""
     with path.open("rb") as file:
         file.seek(struct.unpack("<4xI", file.read(8))[0])
         while len(begin := file.read(OBJECT.size)) == OBJECT.size:
@@ -64,8 +65,27 @@ def _check_unpacked(path: Path) -> None:
                 return  # which python-can refuses
             data = file.read(size - OBJECT.size)
             file.seek(size % 4, os.SEEK_CUR)
-            if kind == CONTAINER and len(data) > PACKED.size and PACKED.unpack_from(data)[0] == DEFLATED:
-                budget.count(data[PACKED.size :], Zlib)
+            if kind != CONTAINER or len(data) <= PACKED.size:
+                continue
+            content = data[PACKED.size :]
+            if PACKED.unpack_from(data)[0] == DEFLATED:
+                budget.count(content, Zlib)
+                content = zlib.decompressobj().decompress(content)
+            left = _after_whole_objects(left + content, path)
+
+
+def _after_whole_objects(content: bytes, path: Path) -> bytes:
+    """The end of a container's content, which goes on in the next; InputError for an object that has no length, at
+    which python-can stays for ever."""
+    begin = 0
+    while (at := content.find(b"LOBJ", begin, begin + 8)) >= 0 and at + OBJECT.size <= len(content):
+        size = OBJECT.unpack_from(content, at)[1]
+        if size < OBJECT.size:
+            raise InputError(f"{path}: an object of the log states a length of {size} bytes: it is damaged")
+        if at + size > len(content):
+            break
+        begin = at + size
+    return content[begin:]
 
 
 def _end(path: Path) -> bytes:
