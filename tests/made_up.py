@@ -31,7 +31,6 @@ def recording(seconds: float = 20.0, **channels: np.ndarray | float) -> Recordin
         valid={name: np.isfinite(value) for name, value in values.items()},
         groups={"a_y": "can"},
         source="made_up.csv",
-        sha256="",
     )
 
 

@@ -217,7 +217,7 @@ def test_a_long_recording_leaves_short_ones_whole() -> None:
     def part(*seconds: float) -> list[tuple[RecordingFile, Recording]]:
         file = RecordingFile(path="x", channels=("a_y", "yaw_rate"))
         return [(file, Recording(name="x", rate=100.0, t=np.arange(round(100.0 * s)) / 100.0, channels={}, valid={},
-                                 groups={}, source="x", sha256="")) for s in seconds]  # fmt: skip
+                                 groups={}, source="x")) for s in seconds]  # fmt: skip
 
     assert _shares(part(20.0, 30.0)) == [1.0, 1.0]
     assert _shares(part(3600.0, 60.0)) == pytest.approx([540.0 / 3600.0, 1.0])

@@ -47,7 +47,7 @@ def test_of_a_long_recording_the_liveliest_stretches_are_kept() -> None:
         "a_y": np.cos(t),
     }
     valid = {name: np.isfinite(values) for name, values in channels.items()}
-    whole = Recording(name="x", rate=10.0, t=t, channels=channels, valid=valid, groups={}, source="x", sha256="")
+    whole = Recording(name="x", rate=10.0, t=t, channels=channels, valid=valid, groups={}, source="x")
     kept = liveliest(whole, 0.2)
     assert set(minute[kept.valid["a_y"]]) == {3, 7}
     assert kept.present_s == 120.0
@@ -63,5 +63,5 @@ def test_of_a_recording_with_the_wheels_alone_the_liveliest_stretches_are_kept_t
         "wheel_speed_rear": np.where(minute == 7, t, 60.0),
     }
     valid = {name: np.isfinite(values) for name, values in channels.items()}
-    whole = Recording(name="x", rate=10.0, t=t, channels=channels, valid=valid, groups={}, source="x", sha256="")
+    whole = Recording(name="x", rate=10.0, t=t, channels=channels, valid=valid, groups={}, source="x")
     assert set(minute[liveliest(whole, 0.2).valid["steering_wheel"]]) == {3, 7}

@@ -43,7 +43,7 @@ def recording(channels: Mapping[str, np.ndarray]) -> Recording:
     t = np.arange(len(channels["a_y"])) / RATE
     valid = {name: np.isfinite(x) for name, x in channels.items()}
     return Recording(
-        name="a", rate=RATE, t=t, channels=channels, valid=valid, groups={}, source="a.csv", sha256=""
+        name="a", rate=RATE, t=t, channels=channels, valid=valid, groups={}, source="a.csv"
     )  # fmt: skip
 
 

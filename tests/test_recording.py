@@ -24,7 +24,7 @@ def test_a_recording_is_shown_as_a_row_a_channel_with_what_was_noted():
     t = np.arange(4) / 10.0
     speed, absent = np.array([1.0, 2.0, 99.0, 3.0]), np.full(4, np.nan)
     rec = Recording(
-        name="a <b>", rate=10.0, t=t, channels={"v_x": speed, "a_y": absent}, groups={}, source="a.csv", sha256="",
+        name="a <b>", rate=10.0, t=t, channels={"v_x": speed, "a_y": absent}, groups={}, source="a.csv",
         valid={"v_x": speed < 50.0, "a_y": np.zeros(4, bool)}, notes=("v_x: 1 spike < flagged",),
     )  # fmt: skip
     speed_row, absent_row = rec.table.to_dict("records")

@@ -15,6 +15,7 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
+from vehicle_sbi.files import sha256
 from vehicle_sbi.report.run_folder import RunFolder
 
 FILES = (*SUFFIXES, "recordings", "heldout", "recording.dbc")
@@ -56,14 +57,20 @@ OmegaConf.register_new_resolver("study_name", _study_name_of, replace=True)
 
 
 def run_folder(cfg: DictConfig, *, inputs: Mapping[str, str]) -> RunFolder:
-    """The run folder of this job, new or resumed; `inputs` are the SHA-256 of the files that it reads."""
+    """The run folder of this job, new or resumed; `inputs` are the SHA-256 of the files that its recordings need."""
     hydra_cfg = HydraConfig.get()
     folder = RunFolder.open(
         Path(hydra_cfg.runtime.output_dir),
         config=typing.cast(dict[str, object], OmegaConf.to_container(cfg, resolve=True)),
         overrides=list(hydra_cfg.overrides.task),
-        inputs=inputs,
+        inputs={**inputs, **_vehicle_file(cfg)},
         choices={str(group): str(choice) for group, choice in hydra_cfg.runtime.choices.items()},
     )
     warn(folder.notices)
     return folder
+
+
+def _vehicle_file(cfg: DictConfig) -> dict[str, str]:
+    """The file that states the vehicle, if one does, with its SHA-256."""
+    path = cfg.vehicle.get("path")
+    return {} if path is None else {path: sha256(Path(path))}

@@ -5,7 +5,6 @@ holds which channel. All clocks of a drive, of one file or several in the same t
 grid by linear interpolation; how they lie to each other is noted.
 """
 
-import hashlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -91,7 +90,8 @@ class RecordingFile:
         notes += _clock_offsets(series.values())
         t, rate = self._grid(series.values(), notes)
         resampled = {name: _resampled(name, one, t, notes) for name, one in series.items()}
-        inputs = [Path(one) for file in files for one in (file.path, file.dbc) if one is not None]
+        sources = [Path(one) for file in files for one in (file.path, file.dbc) if one is not None]
+        mappings = [Path(file.mapping) for file in files if isinstance(file.mapping, str | Path)]
         recording = Recording(
             name=self.name or Path(self.path).stem,
             rate=rate,
@@ -99,8 +99,9 @@ class RecordingFile:
             channels={name: values for name, (values, _) in resampled.items()},
             valid={name: valid for name, (_, valid) in resampled.items()},
             groups={name: one.group for name, one in series.items()},
-            source=" + ".join(map(str, inputs)),
-            sha256=" + ".join(map(_digest, inputs)),
+            source=" + ".join(map(str, sources)),
+            files={str(path): sha256(path) for path in sources},
+            mappings={str(path): sha256(path) for path in mappings},
             notes=tuple(_once(notes, series)),
         )
         return replace(recording, warnings=findings(recording))
@@ -242,15 +243,6 @@ def _clock_offsets(series: Iterable[Series]) -> list[str]:
         f"{first}, in steps of {1e3 * np.median(np.diff(t)):.3g} ms against {1e3 * np.median(np.diff(start)):.3g} ms"
         for (name, t) in ((key[1], clocks[key]) for key in others)
     ]
-
-
-def _digest(path: Path) -> str:
-    """The SHA-256 of a file, or of a folder's names and files."""
-    if not path.is_dir():
-        return sha256(path)
-    files = sorted(one for one in path.rglob("*") if one.is_file())
-    listed = "\n".join(f"{one.relative_to(path).as_posix()} {sha256(one)}" for one in files)
-    return hashlib.sha256(listed.encode()).hexdigest()
 
 
 def _clock(table: Table, name: str, unit: str, notes: list[str]) -> Float[np.ndarray, " rows"]:

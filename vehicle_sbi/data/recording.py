@@ -5,7 +5,7 @@ model, it is never fitted), or absent (NaN and not valid).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from html import escape
 
 import numpy as np
@@ -21,8 +21,8 @@ class Recording:
     """Channels on a uniform grid `t` [s] at `rate` [Hz]; `notes` lists what was filled, left out, resampled, flagged.
 
     `warnings` says what the drive contradicts: signs, units, axes, offsets.
-    `source` and `sha256` name the file it was read from. Raises InputError for a channel that is not in
-    `CHANNELS`.
+    `source` names the files it was read from; `files` has the SHA-256 of each, `mappings` those of the files that say
+    what columns mean. Raises InputError for a channel that is not in `CHANNELS`.
     """
 
     name: str
@@ -32,7 +32,8 @@ class Recording:
     valid: Mapping[str, Bool[np.ndarray, " time"]]
     groups: Mapping[str, str]
     source: str
-    sha256: str
+    files: Mapping[str, str] = field(default_factory=dict)
+    mappings: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -40,6 +41,11 @@ class Recording:
         for name in self.channels:
             if name not in CHANNELS:
                 raise unknown("channel", name, CHANNELS, self.source)
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """SHA-256 of every file that it depends on."""
+        return {**self.files, **self.mappings}
 
     def series(self, name: str) -> tuple[Float[np.ndarray, " time"], Bool[np.ndarray, " time"]] | None:
         """Values and validity of a channel, None if it is not recorded; an axle's speed is the mean of its wheels'."""

@@ -147,5 +147,5 @@ class Prepared:
 
     @property
     def inputs(self) -> dict[str, str]:
-        """SHA-256 of every file that the study reads."""
-        return {} if self.recording is None else {self.recording.source: self.recording.sha256}
+        """SHA-256 of every file that the recording is read from."""
+        return {} if self.recording is None else dict(self.recording.inputs)

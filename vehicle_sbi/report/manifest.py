@@ -98,13 +98,13 @@ def _resumed(path: Path, earlier: Manifest, now: Manifest) -> tuple[Manifest, tu
 
 def _refuse_another(path: Path, earlier: Manifest, now: Manifest) -> None:
     for what, before, asked in (
-        ("configuration", earlier["config"]["keys"], now["config"]["keys"]),
-        ("input files", earlier["inputs"], now["inputs"]),
+        ("another configuration", earlier["config"]["keys"], now["config"]["keys"]),
+        ("other input files, or of files that have changed since", earlier["inputs"], now["inputs"]),
     ):
         differ = sorted(key for key in {*before, *asked} if before.get(key) != asked.get(key))
         if differ:
             raise InputError(
-                f"{path} holds a run of another {what} (differs in {', '.join(differ)}); choose another hydra.run.dir"
+                f"{path} holds a run of {what} (differs in {', '.join(differ)}); choose another hydra.run.dir"
             )
 
 
@@ -138,8 +138,8 @@ def results(path: Path) -> list[str]:
 
 
 def intact(file: Path, sealed: str) -> bool:
-    """Whether a file is there with the SHA-256 that it was left with."""
-    return file.is_file() and sha256(file) == sealed
+    """Whether a file or folder is there with the SHA-256 that it was left with."""
+    return file.exists() and sha256(file) == sealed
 
 
 def digest(value: object) -> str:

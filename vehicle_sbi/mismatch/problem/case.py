@@ -72,7 +72,7 @@ class Diagnosis(Setup):
             raise InputError("noise: a diagnosis estimates it from the recordings; leave it at noise=estimated")
         training, held, left_out = self._read()
         apart = bool(held)
-        inputs = {recording.source: recording.sha256 for _, recording in (*training, *held)}
+        inputs = {path: digest for _, recording in (*training, *held) for path, digest in recording.inputs.items()}
         cut = replace(self, window_s=self._window_s(training, held))
         names = tuple(recording.name for _, recording in held)
         read = (recording for _, recording in (*training, *held))
@@ -227,7 +227,7 @@ def _shared_clock(parts: Sequence[Windows], others: Sequence[Windows]) -> tuple[
 def _check_once(training: Read, held: Read) -> None:
     """InputError for data that is given twice, whatever its file is called; two stretches of a file are other data."""
     fitted, apart = (
-        [(recording.source, (recording.sha256, file.start_s, file.stop_s)) for file, recording in part]
+        [(recording.source, (*recording.files.values(), file.start_s, file.stop_s)) for file, recording in part]
         for part in (training, held)
     )
     counts = Counter(data for _, data in fitted)
