@@ -11,7 +11,7 @@ from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.directions import responses
 from vehicle_sbi.inference.setup import Setup
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, nominal_record
-from vehicle_sbi.physics.single_track import INPUTS
+from vehicle_sbi.physics.single_track import COMMANDS, INPUTS
 from vehicle_sbi.physics.vehicle import read
 
 NOISE = {"a_x": 0.05, "a_y": 0.05, "yaw_rate": 0.003, "wheel_speed_rear": 0.1, "v_x": 0.02, "steering": 2e-4}
@@ -72,6 +72,7 @@ def _window(v_x: np.ndarray, steering: np.ndarray, rate: float, channels: tuple[
     return Windows(
         rate=rate,
         u=u,
+        before=u[:, :0, : len(COMMANDS)],
         y=np.full((len(channels), n), np.nan),
         valid=np.ones((len(channels), n), dtype=bool),
         x0=np.array([[v_x[0], 0.0, 0.0]]),

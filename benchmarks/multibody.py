@@ -136,8 +136,9 @@ def multibody(p: Any) -> dict[str, np.ndarray]:
         f = rate(t[k], x)
         roll, pitch = -x[6], -x[8]
         a_x, a_y, _ = tilted(f[3] - x[5] * x[10], f[10] + x[5] * x[3], GRAVITY, roll, pitch)
+        w_x, w_y, w_z = tilted(0.0, 0.0, x[5], roll, pitch)  # of its gyro, which leans with the body
         sway = p.h_s * x[7]  # of the sprung mass over the axles, to the left, in ISO axes
-        rows.append((a_x, a_y, x[5], -x[7], -x[9], x[3], x[10], x[2], sway))
+        rows.append((a_x, a_y, w_z, w_x - x[7], w_y - x[9], x[3], x[10], x[2], sway))
         if k + 1 < len(t):
             for step in range(STEPS):
                 now = t[k] + step * dt
@@ -164,7 +165,7 @@ def full_vehicle(p: Any, delta: np.ndarray, **effects: float) -> dict[str, np.nd
     substeps = np.array([substeps_for(record, "torque", 3.0, RATE, model="full_vehicle")])
     none, start = (np.zeros((1, 1, 4)), np.zeros((1, 1, 2))), np.array([[[SPEED, 0.0, 0.0]]])
     rows, groups = np.arange(len(MEASUREMENTS)), np.full(len(MEASUREMENTS), GROUPS.index("imu"))
-    driven = Motions.each(1), DRIVES["torque"], GROUPS.index("can"), u
+    driven = Motions.each(1), DRIVES["torque"], GROUPS.index("can"), u[:, :0, :3], u
     batch_simulator("full_vehicle")(record, *driven, *none, RATE, substeps, start, rows, groups, y, outcome)
     assert outcome[0] == FINISHED
     return {name: y[0, MEASUREMENTS.index(name)] for name in CHANNELS}

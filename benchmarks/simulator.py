@@ -115,7 +115,8 @@ def contend(name: str, turns: Connection) -> None:
         fixed = (RATE, np.ones(1, np.int64), initial, np.arange(5), np.array([0, 0, 0, 2, 2]), y, outcomes)
         while turns.recv():
             p, start = records(rng), time.perf_counter()
-            driven = Motions.each(SIMULATIONS), DRIVES["torque"], GROUPS.index("can"), inputs()
+            u = inputs()
+            driven = Motions.each(SIMULATIONS), DRIVES["torque"], GROUPS.index("can"), u[:, :0, :3], u
             batch_simulator(CONTENDERS[name])(p, *driven, *noise, *fixed)
             turns.send(time.perf_counter() - start)
             assert not outcomes.any()  # every simulation is finished

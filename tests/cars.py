@@ -172,6 +172,7 @@ def simulate(
         Motions.each(n),
         DRIVES[drive],
         GROUPS.index(speed_group),
+        u[np.newaxis, :0, :3],
         u[np.newaxis],
         np.zeros((n, 1, 4)) if stiffness_noise is None else stiffness_noise,
         np.zeros((n, 1, 2)) if input_noise is None else input_noise,

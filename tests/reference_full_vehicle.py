@@ -98,9 +98,13 @@ def effective_radii(c: Car, F_z: np.ndarray) -> np.ndarray:
 
 
 def wheel_slips(c: Car, drive: str, state: np.ndarray, delta: float, F_z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """kappa and alpha of every wheel."""
+    """kappa and alpha of every wheel; where wheel speeds are given, both wheels of an axle slip by the same share."""
     ahead, across, along = contact_speeds(c, state, delta)
-    rolling = effective_radii(c, F_z) * state[7:11]
+    R_e = effective_radii(c, F_z)
+    rolling = R_e * state[7:11]
+    if drive == "wheel_speed":
+        freely = np.repeat((along / R_e).reshape(2, 2).mean(axis=1), 2)
+        rolling = along * state[7:11] / freely
     kappa = np.zeros(4) if drive == "speed" else (rolling - along) / np.maximum(rolling, along)
     return kappa, np.array([delta, delta, 0.0, 0.0]) - np.arctan2(across, ahead)
 

@@ -128,7 +128,7 @@ def outer_forces(c: Car, now: Moment, v_x: float) -> tuple[float, float, float]:
     x = -0.5 * RHO * c["aero_drag_area"] * v_x**2
     x -= c["rolling_resistance_coefficient"] * (weight(c) + downforce(c, v_x))
     x += c["latent_x"] * now.course - mass(c) * now.g_x
-    y = c["crosswind_force"] + now.gust - mass(c) * G * math.sin(c["road_bank_angle"])
+    y = c["crosswind_force"] + now.gust - mass(c) * downhill(c)
     turn = c["crosswind_force"] * c["crosswind_arm"] + now.gust * c["gust_arm"] + c["yaw_moment_moment"]
     return x, y + c["latent_y"] * now.course, turn + c["latent_z"] * now.course
 
@@ -267,7 +267,7 @@ def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float
     shifted = N * c["lateral_load_transfer_front"]
     borne = max(statics[0] + shifted, 0.0), max(statics[1] - shifted, 0.0)
     found, turn, beyond = [], 0.0, [0.0, 0.0]
-    moving = moved_by(c, state, a_y)
+    moving = moved_by(c, state, a_y + downhill(c))
 
     def pulled_pair(i: int, pull: float) -> list[tuple[float, float]]:
         C_alpha, wheels = stiff[i] * c[f"C_alpha_{'fr'[i]}"], wheel_loads(c, loads[i], borne[i], moving)
@@ -299,8 +299,13 @@ def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float
     return Forces(*found, turn=turn, beyond=(beyond[0], beyond[1]))
 
 
+def downhill(c: Car) -> float:
+    """Gravity along a banked road [m/s^2], which the body feels as it does a turn."""
+    return G * math.sin(c["road_bank_angle"])
+
+
 def leaning_body(c: Car) -> tuple[float, float]:
-    """Of y'' + 2 damping w y' + w^2 y = w^2 a_y the stiffness w^2 and the damping, both 0 where load moves at once."""
+    """Of y'' + 2 damping w y' + w^2 y = w^2 (a_y + g_y) the stiffness w^2 and the damping; 0 where load moves at once."""
     if c["lateral_load_transfer_period"] == 0.0 or c["lateral_load_transfer_uneven"] == 0.0:
         return 0.0, 0.0
     w = 2.0 * math.pi / c["lateral_load_transfer_period"]
@@ -439,7 +444,7 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     out[5:11] = lag * (without_lag - state[5:11])
     stiffness, damping = leaning_body(c)
     if stiffness > 0.0:
-        out[11:] = state[12], stiffness * (a_y - state[11]) - damping * state[12]
+        out[11:] = state[12], stiffness * (a_y + downhill(c) - state[11]) - damping * state[12]
     return out
 
 
@@ -467,7 +472,7 @@ def start(c: Car, drive: str, u: np.ndarray, initial: np.ndarray) -> np.ndarray:
     state = impose(drive, state, u)
     kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, u[0], static)
     state[5:11] = *kappa, *np.transpose(slip_angles(c, state, u[0])).flat
-    state[11] = initial[0] * initial[2]
+    state[11] = initial[0] * initial[2] + downhill(c)
     return state
 
 

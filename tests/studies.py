@@ -67,6 +67,7 @@ def repeated(windows: Windows, times: int) -> Windows:
     return replace(
         windows,
         u=np.repeat(windows.u, times, axis=0),
+        before=np.repeat(windows.before, times, axis=0),
         y=np.tile(windows.y, times),
         valid=np.tile(windows.valid, times),
         x0=np.repeat(windows.x0, times, axis=0),

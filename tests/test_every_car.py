@@ -55,7 +55,8 @@ def driven(car: Vehicle, drive: str, channels: tuple[str, ...], model: str = "si
     u[0, :, INPUTS.index("time")] = t
     y = np.zeros((len(channels), len(t)))
     windows = Windows(
-        rate=RATE, u=u, y=y, valid=y == 0.0, x0=np.array([[v_0, 0.0, 0.0]]), x0_std=np.zeros(3), channels=channels,
+        rate=RATE, u=u, before=u[:, :0, :3], y=y, valid=y == 0.0, x0=np.array([[v_0, 0.0, 0.0]]),
+        x0_std=np.zeros(3), channels=channels,
         groups=tuple(CHANNELS[name].group for name in channels), t=t[None],
     )  # fmt: skip
     setup = Setup(

@@ -26,8 +26,8 @@ from reference_single_track import car_of
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, derive
 from vehicle_sbi.physics.full_vehicle import PITCH, PITCH_RATE, ROLL, ROLL_RATE, STATES, WHEELS, loads
-from vehicle_sbi.physics.sensors import MOTION
-from vehicle_sbi.physics.single_track import DRIVES
+from vehicle_sbi.physics.sensors import MOTION, tilted
+from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, Vehicle
 
 EPS = np.finfo(float).eps
@@ -168,15 +168,44 @@ def test_resting_imu_reads_gravity() -> None:
     assert not y[[A_X, A_Y, YAW, P, Q]].any()
 
 
+def test_a_gyro_turns_with_the_body() -> None:
+    # In a steady turn the body keeps its angles, and a strapdown gyro reads the turn's rate about its own axes.
+    u = np.zeros((2000, len(INPUTS)))
+    u[:, INPUTS.index("steering")], u[:, INPUTS.index("v_x")] = 0.03, 20.0
+    motion = motion_of(PAPER, "speed", u, (20.0, 0.0, 0.0))
+    y = finished(record_of(PAPER), "speed", u, (20.0, 0.0, 0.0), model="full_vehicle")[:, -1]
+    roll, pitch, r = (motion[name][-1] for name in ("roll", "pitch", "r"))
+    assert roll > 0.01
+    expected = r * np.array([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)])
+    settled = np.abs(motion["roll_rate"][-200:]).max() + np.abs(motion["pitch_rate"][-200:]).max()
+    np.testing.assert_allclose(y[[P, Q, YAW]], expected, rtol=1e-9, atol=settled)
+
+
+@pytest.mark.parametrize("C_vert", [2e5, np.inf])
+def test_given_wheel_speeds_turn_the_car_as_its_torques_do(C_vert: float) -> None:
+    # The mean speed of an axle's wheels, which an open differential drives alike, is all that is given. Under torques
+    # both have the same force; here they have the same slip, which of tyres as stiff as these is the same but for what
+    # inner and outer loads change.
+    car, u = replace(PAPER, C_vert=C_vert), np.zeros((1000, len(INPUTS)))
+    u[:, INPUTS.index("steering")] = np.minimum(0.03, 0.0003 * np.arange(1000))
+    by_torque = finished(record_of(car), "torque", u, (V, 0.0, 0.0), model="full_vehicle")
+    u[:, INPUTS.index("wheel_speed_front")], u[:, INPUTS.index("wheel_speed_rear")] = by_torque[[3, 4]]
+    by_speed = finished(record_of(car), "wheel_speed", u, (V, 0.0, 0.0), model="full_vehicle")
+    for row in (A_Y, YAW):
+        assert np.abs(by_speed[row] - by_torque[row]).max() < 0.01 * np.abs(by_torque[row]).max()
+
+
 def test_body_s_rates_are_measured_and_turn_the_imu() -> None:
     # Roll and pitch rates are the derivatives of the angles: the trapezoid rule is off by dt^3/12 of the rates' second
     # derivative, which a sample's change of the angular acceleration over dt gives but for its own change, twice it.
     u = paper_manoeuvre(MILD, 2.0)
     motion = motion_of(PAPER, "torque", u, (V, 0.0, 0.0))
     y = finished(record_of(PAPER), "torque", u, (V, 0.0, 0.0), model="full_vehicle")
-    for row, name in ((P, "roll"), (Q, "pitch")):
-        assert np.array_equal(y[row], motion[f"{name}_rate"])
-        steps = 0.5 * (y[row, 1:] + y[row, :-1]) / RATE
+    turning = [tilted(0.0, 0.0, *of) for of in zip(motion["r"], motion["roll"], motion["pitch"], strict=True)]
+    for row, part, name in ((P, 0, "roll"), (Q, 1, "pitch")):
+        assert np.array_equal(y[row], motion[f"{name}_rate"] + np.array(turning)[:, part])
+        rate = motion[f"{name}_rate"]
+        steps = 0.5 * (rate[1:] + rate[:-1]) / RATE
         second = np.abs(np.diff(motion[f"{name}_acceleration"])).max() * RATE
         assert np.abs(np.diff(motion[name]) - steps).max() < 2.0 * second / RATE**3 / 12.0
     lift = finished(record_of(PAPER, imu_lever_arm_z=0.5), "torque", u, (V, 0.0, 0.0), model="full_vehicle")

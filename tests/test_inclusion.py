@@ -1,15 +1,16 @@
 """The sampler of sets against all sets enumerated, and its parts against quadrature and closed forms."""
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from scipy.integrate import cumulative_trapezoid, quad
 from scipy.special import logsumexp
-from scipy.stats import norm
+from scipy.stats import kstest, norm
 
 from vehicle_sbi import threads
-from vehicle_sbi.mismatch.selection.gibbs import _drawn, _log_box, _log_slab
+from vehicle_sbi.mismatch.selection.gibbs import State, _drawn, _log_box, _log_slab, _mostly_within, _off_zero
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Shared, sample
 from vehicle_sbi.mismatch.selection.inverse import factorised, set_precision
 from vehicle_sbi.mismatch.selection.likeness import UNLIKE, likeness
@@ -101,15 +102,67 @@ def test_weight_of_a_slab_far_on_the_wrong_side_joins_its_expansion() -> None:
 
 
 def test_coefficients_have_the_posterior_s_mean_and_spread() -> None:
-    H, b, _ = problem(signed=False)
+    H, b, groups = problem(signed=False)
     precision = np.ones(9)
     S = np.linalg.inv(H + np.diag(precision))
     m = S @ b
-    none = np.zeros(9, dtype=np.int64)
-    draws = np.array([_drawn(H, precision, m, none, np.zeros(9)) for _ in range(4000)])
+    state = State(np.zeros(0, dtype=np.int64), precision, S, m, np.zeros(9))
+    endless = np.full(len(groups.low), np.inf)
+    believed = groups.believed._replace(low=-endless, high=endless)
+    draws = np.array([_drawn(H, believed, state) for _ in range(4000)])
     std = np.sqrt(np.diag(S))
     assert np.abs(draws.mean(axis=0) - m) / std == pytest.approx(np.zeros(9), abs=5.0 / np.sqrt(4000))
     assert draws.std(axis=0) / std == pytest.approx(np.ones(9), abs=5.0 / np.sqrt(2 * 4000))
+
+
+N = 20000
+CRITICAL = 2.0 / np.sqrt(N)  # of Kolmogorov and Smirnov's distance, passed by chance once in 1500
+
+
+def distance(draws: np.ndarray, density: Callable[[np.ndarray], np.ndarray], *, within: tuple[float, float]) -> float:
+    """Kolmogorov and Smirnov's, from the law with a density that is integrated on a grid."""
+    x = np.linspace(*within, 200001)
+    cumulated = cumulative_trapezoid(density(x), x, initial=0.0)
+    return float(kstest(draws, lambda at: np.interp(at, x, cumulated / cumulated[-1])).statistic)
+
+
+@pytest.mark.parametrize("sign", [0, 1, -1])
+@pytest.mark.parametrize(("mean", "std"), [(0.0, 1.0), (0.5, 0.3), (-0.5, 0.3), (2.0, 0.5), (-3.0, 0.5), (6.0, 0.3)])
+def test_a_coefficient_in_a_slab_is_drawn_by_its_square_on_its_side_of_zero(mean: float, std: float, sign: int) -> None:
+    draws = np.array([_off_zero(mean, std, sign) for _ in range(N)])
+    law = lambda x: x**2 * norm.pdf(x, mean, std) * (sign * x >= 0.0)  # noqa: E731
+    assert distance(draws, law, within=(mean - 9.0 * std - 2.0, mean + 9.0 * std + 2.0)) < CRITICAL
+
+
+@pytest.mark.parametrize(
+    ("mean", "std"), [(0.0, 0.5), (0.9, 0.2), (1.3, 0.2), (0.0, 30.0), (4.0, 0.3), (-2.0, 0.2), (-1.9, 2.0)]
+)
+def test_a_base_parameter_is_drawn_within_its_box_unless_the_box_is_wrong(mean: float, std: float) -> None:
+    draws = np.array([_mostly_within(mean, std, -1.5, 1.0, 0.05) for _ in range(N)])
+    law = lambda x: norm.pdf(x, mean, std) * np.where((x > -1.5) & (x < 1.0), 1.0, 0.05)  # noqa: E731
+    assert distance(draws, law, within=(mean - 9.0 * std, mean + 9.0 * std)) < CRITICAL
+
+
+def test_coefficients_that_share_a_recording_are_drawn_from_their_joint_law() -> None:
+    # Two columns, one always there and bounded, one in a slab: moments of the law on a grid. Given the other, each keeps
+    # 0.58 of where that is, so that ten draws of both forget where they start.
+    H, m = np.array([[4.0, 3.2], [3.2, 4.0]]), np.array([0.9, 0.6])
+    precision = np.array([1.0, 2.0])
+    state = State(np.ones(1, np.int64), precision, np.linalg.inv(H + np.diag(precision)), m, np.array([0.0, 0.7]))
+    groups = Groups(
+        low=-np.ones(1), high=np.ones(1), outside=0.01, start=1, stop=np.array([2]), amplitude=np.array([[0.1, 0.7]]),
+        share=np.ones((1, 2)), rate=np.full(1, 0.5), named=np.ones(1, bool), sign=np.zeros(2, np.int64),
+    )  # fmt: skip
+    draws = np.array([_drawn(H, groups.believed, state) for _ in range(N)])
+    x = np.stack(np.meshgrid(np.linspace(-4.0, 5.0, 901), np.linspace(-4.0, 5.0, 901), indexing="ij"))
+    off = x - m[:, None, None]
+    weight = np.exp(-0.5 * np.einsum("iab,ij,jab->ab", off, H + np.diag(precision), off)) * x[1] ** 2
+    weight *= np.where(np.abs(x[0]) <= 1.0, 1.0, 0.01)
+    weight /= weight.sum()
+    mean = np.sum(weight * x, axis=(1, 2))
+    std = np.sqrt(np.sum(weight * (x - mean[:, None, None]) ** 2, axis=(1, 2)))
+    assert (draws.mean(axis=0) - mean) / std == pytest.approx(np.zeros(2), abs=0.01 + 4.0 / np.sqrt(N))
+    assert draws.std(axis=0) / std == pytest.approx(np.ones(2), abs=0.01 + 4.0 / np.sqrt(2 * N))
 
 
 def test_means_are_those_of_the_normal_that_the_levels_give() -> None:

@@ -36,7 +36,8 @@ def read(records: np.ndarray, motions: Motions, model: str, drive: str, initial:
     u[:, INPUTS.index("wheel_speed_front")] = u[:, INPUTS.index("wheel_speed_rear")] = V / 0.31
     y, outcomes = np.empty((N, len(MEASUREMENTS), len(u))), np.full(N, -1)
     batch_simulator(model)(
-        records.copy(), motions, DRIVES[drive], GROUPS.index("can"), u[None], np.zeros((N, 1, 4)), np.zeros((N, 1, 2)),
+        records.copy(), motions, DRIVES[drive], GROUPS.index("can"), u[None, :0, :3], u[None],
+        np.zeros((N, 1, 4)), np.zeros((N, 1, 2)),
         RATE, np.array([2]), initial, np.arange(len(MEASUREMENTS)),
         np.array([GROUPS.index(group) for group in REPORTED_BY]), y, outcomes,
     )  # fmt: skip

@@ -31,7 +31,7 @@ def drives() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     initial, y = np.zeros((N, 1, 3)), np.empty((N, 5, TIME), np.float32)
     initial[:, 0, 0] = v_0
     batch_simulator("single_track")(
-        cars.copy(), Motions.each(N), DRIVES["torque"], GROUPS.index("can"), u,
+        cars.copy(), Motions.each(N), DRIVES["torque"], GROUPS.index("can"), u[:, :0, :3], u,
         np.zeros((N, 1, 4)), np.zeros((N, 1, 2)), RATE,
         np.ones(1, np.int64), initial, np.arange(5), np.array([0, 0, 0, 2, 2]), y, np.zeros(N, np.int64),
     )  # fmt: skip

@@ -264,7 +264,7 @@ def test_input_noise_scales_steering_and_torques() -> None:
     p, u = record_of(PAPER)[0], paper_manoeuvre(STRONG, seconds=1.0)
     acting = np.empty_like(u)
     derive(p)
-    actuate(p, u, np.array([[0.25, -0.5]]), RATE, acting)
+    actuate(p, u[:0, :3], u, np.array([[0.25, -0.5]]), RATE, acting)
     assert np.array_equal(acting, u * np.array([1.25, 0.5, 0.5, *[1.0] * (len(INPUTS) - 3)]))
 
 

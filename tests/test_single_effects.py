@@ -122,7 +122,9 @@ def test_brake_balance_moves_braking_and_keeps_the_sum(front: float, rear: float
     T_f, T_r = torques(derived(brake_balance_shift=shift), np.array([front]), np.array([rear]), 0, RATE)
     braking = front <= 0.0 and rear <= 0.0
     assert T_f + T_r == pytest.approx(front + rear, rel=0.0, abs=4 * 6000.0 * EPS)
-    assert T_f - front == pytest.approx(shift * (front + rear) if braking else 0.0, rel=0.0, abs=4 * 6000.0 * EPS)
+    moved = np.clip(shift * (front + rear), rear, -front) if braking else 0.0
+    assert T_f - front == pytest.approx(moved, rel=0.0, abs=4 * 6000.0 * EPS)
+    assert not braking or (T_f <= 4 * 6000.0 * EPS and T_r <= 4 * 6000.0 * EPS)  # a brake drives no wheel
 
 
 def test_delayed_torque_is_the_command_later() -> None:

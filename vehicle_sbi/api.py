@@ -49,7 +49,6 @@ if TYPE_CHECKING:  # they need torch, sbi or xarray, which take long to import
     from vehicle_sbi.inference.rounds import Inference
     from vehicle_sbi.inference.study import Prepared
 
-COMMANDS = ("steering", "torque_front", "torque_rear")
 """What drives a simulated manoeuvre."""
 
 SHOWN = 10  # effects in the table of a notebook
@@ -286,7 +285,7 @@ def simulate(
     `parameters` are constants of the vehicle, or of effects with "__" for the dot: `l_f=1.4, aero_drag__area=0.6`.
     """
     from vehicle_sbi.data.channels import CHANNELS
-    from vehicle_sbi.physics.single_track import INPUTS
+    from vehicle_sbi.physics.single_track import COMMANDS, INPUTS
 
     driven = manoeuvre if isinstance(manoeuvre, Manoeuvre) else _built("manoeuvre", manoeuvre)
     car, values = _vehicle(vehicle), {name.replace("__", "."): float(x) for name, x in parameters.items()}

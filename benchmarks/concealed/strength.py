@@ -95,6 +95,7 @@ def joined(parts: Sequence[Windows]) -> Windows:
     return replace(
         first,
         u=np.concatenate([w.u for w in parts]),
+        before=np.concatenate([w.before for w in parts]),
         y=np.concatenate([w.y for w in parts], axis=1),
         valid=np.concatenate([w.valid for w in parts], axis=1),
         x0=np.concatenate([w.x0 for w in parts]),

@@ -18,13 +18,12 @@ from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import nominal_record
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 from vehicle_sbi.physics.simulation import substeps_for
-from vehicle_sbi.physics.single_track import INPUTS
+from vehicle_sbi.physics.single_track import COMMANDS, INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 
 NONE = Mixture(np.zeros(0), np.zeros(0))
 Effects = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 Series = dict[str, np.ndarray]
-COMMANDS = ("steering", "torque_front", "torque_rear")
 
 
 class World(Protocol):
@@ -46,6 +45,7 @@ def _whole(plan: Plan, u: np.ndarray) -> Windows:
     return Windows(
         rate=plan.rate,
         u=u,
+        before=u[:, :0, : len(COMMANDS)],
         y=y,
         valid=np.ones_like(y, dtype=bool),
         x0=np.array([[plan.v_0, 0.0, 0.0]]),

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from vehicle_sbi.data.channels import CHANNELS, NEEDED
@@ -11,7 +12,7 @@ from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.data.smoothing import denoised, slope, smoothed, unheld
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError, unknown
-from vehicle_sbi.physics.single_track import INPUTS
+from vehicle_sbi.physics.single_track import COMMANDS, INPUTS
 
 V_Y_LEVER, SIDESLIP = 1.5, 0.1
 """Where v_y is not recorded it may be wrong by 1.5 m times the yaw rate (about the rear axle's distance), at most by
@@ -19,6 +20,10 @@ V_Y_LEVER, SIDESLIP = 1.5, 0.1
 
 YAW_RATE_UNKNOWN = 0.2
 """Standard deviation [rad/s] of an initial yaw rate that nothing in the recording tells."""
+
+REMEMBERED_S = 3.0
+"""What a window knows of the commands before it [s]: an actuator's lag of 1 s, the longest, has forgotten 95 % of more.
+"""
 
 STRETCHES = 3
 """Usable stretches that are named where none is long enough, at most."""
@@ -68,6 +73,7 @@ def cut(
     return Windows(
         rate=recording.rate,
         u=_held_inputs(inputs, index, real),
+        before=_before(inputs, index[:, 0], round(REMEMBERED_S * recording.rate)),
         y=y.reshape(len(channels), -1),
         valid=(to_fit & np.isfinite(y)).reshape(len(channels), -1),
         x0=state[index[:, 0]],
@@ -211,6 +217,16 @@ def _held_inputs(
     u = np.stack([inputs.get(name, none) for name in INPUTS], axis=-1)[index]
     u[~real, INPUTS.index("v_x_dot")] = 0.0
     return u
+
+
+def _before(
+    inputs: Mapping[str, Float[np.ndarray, " time"]], starts: Int[np.ndarray, " windows"], earlier: int
+) -> Float[np.ndarray, "windows earlier 3"]:
+    """The commands of the samples before each window; where one is absent, as at a recording's start, the next one."""
+    index = np.maximum(starts[:, None] - np.arange(earlier, -1, -1), 0)
+    none = np.zeros_like(inputs["time"])
+    following = [pd.DataFrame(inputs.get(name, none)[index]).bfill(axis=1).to_numpy() for name in COMMANDS]
+    return np.stack(following, axis=-1)[:, :-1]
 
 
 def _stretches(recording: Recording, usable: Bool[np.ndarray, " time"], length_s: float) -> str:

@@ -13,7 +13,7 @@ from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.physics.sensors import MEASUREMENTS
-from vehicle_sbi.physics.single_track import INPUTS
+from vehicle_sbi.physics.single_track import COMMANDS, INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 
 
@@ -74,6 +74,7 @@ class Manoeuvre:
         return Windows(
             rate=self.rate,
             u=u,
+            before=u[:, :0, : len(COMMANDS)],
             y=np.full((len(self.channels), time), np.nan),
             valid=np.ones((len(self.channels), time), dtype=bool),
             x0=np.array([[middle, 0.0, 0.0]]),

@@ -18,7 +18,8 @@ from vehicle_sbi.physics.single_track import INPUTS
 class Windows:
     """Stretches of a recording of equal length, each simulated from its own initial state.
 
-    u: inputs in the order of `INPUTS`, held over the padded end of a last window; x0: v_x [m/s], v_y [m/s] and
+    u: inputs in the order of `INPUTS`, held over the padded end of a last window; before: the `COMMANDS` of the samples
+    before each window, as many as are known, which actuators may still follow; x0: v_x [m/s], v_y [m/s] and
     yaw rate [rad/s] at each start, x0_std their standard deviations; y: measurements, window after window (NaN where
     there is none); valid: what is to be fitted; t: recording time [s]; groups: the sensors of each channel, speed_group
     those of the speeds that drive the model; recordings: which one each window is of.
@@ -26,6 +27,7 @@ class Windows:
 
     rate: float
     u: Float[np.ndarray, "windows time 9"]
+    before: Float[np.ndarray, "windows earlier 3"]
     y: Float[np.ndarray, "channels windows*time"]
     valid: Bool[np.ndarray, "channels windows*time"]
     x0: Float[np.ndarray, "windows 3"]
@@ -49,6 +51,7 @@ class Windows:
         return replace(
             self,
             u=self.u[which],
+            before=self.before[which],
             y=self.y[:, samples],
             valid=self.valid[:, samples],
             x0=self.x0[which],
@@ -94,6 +97,7 @@ def joined(parts: Sequence[Windows], names: Sequence[str], shifts: Sequence[floa
     return replace(
         first,
         u=np.concatenate([_shifted(part.u, shift) for part, shift in zip(parts, shifts, strict=True)]),
+        before=np.concatenate([part.before for part in parts]),
         y=np.concatenate([part.y for part in parts], axis=1),
         valid=np.concatenate([part.valid for part in parts], axis=1),
         x0=np.concatenate([part.x0 for part in parts]),

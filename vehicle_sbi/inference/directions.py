@@ -38,13 +38,15 @@ LENGTHS = (1, 2, 4, 8)  # tiles that something may last, begun at every half of 
 class Direction:
     """A parameter along which an effect leaves its null, with the effect's other parameters held where it can act.
 
-    `step` is the part of its prior's width that it takes for the change to be about in proportion.
+    `step` is the part of its prior's width that it takes for the change to be about in proportion; `share` the part of
+    what is believed of the effect that is about this shape of it.
     """
 
     effect: str
     parameter: Parameter
     held: dict[Parameter, float]
     step: float = STEPS[0]
+    share: float = 1.0
 
     @property
     def asleep(self) -> bool:

@@ -21,8 +21,8 @@ class EffectPrior:
 
     An effect that is missing has a size of `slabs` typical ones, a standard deviation each with its share, else one of
     a `negligible` part. What no effect stands for, a discrepancy, may be in each load, the steering and each sensor
-    with probability `discrepancy`, half normal with a `scale` of the largest that is thought of. A base parameter lies
-    beyond its box, the prior of the study, with probability `outside`.
+    with probability `discrepancy`, its amplitude log-uniform up to about a `scale` of the largest that is thought of.
+    A base parameter's box, the prior of the study, is wrong with probability `outside`: what lies beyond it counts so.
 
     Raises InputError for an unknown name, a rate that is no probability above 0 and below 1, or a size not above 0.
     """

@@ -5,8 +5,9 @@ noise-free model y(z), by least squares through finite differences. A series y i
 
     z <- z + (J(z)' W J(z) + P)^-1 (J(z)' W (y - y(z)) - P (z - z_0)),     W = sigma(y(z))^-2
 
-under the noise that the fit itself implies, P being the prior's precision and z_0 its mean (Bjorck, Numerical Methods
-for Least Squares Problems, sec. 9.2). J has to follow z: noise that is a share of the signal is smallest where the
+under the noise that the fit itself implies, P being the prior's precision and z_0 the point about which features are
+taken, from the second round on the last posterior's mean (Bjorck, Numerical Methods for Least Squares Problems, sec.
+9.2). J has to follow z: noise that is a share of the signal is smallest where the
 signal crosses zero, and those moments, which decide the fit, move with z. They also make it rough, so that steps lead
 there only from nearby: they start from a regression of z on a linear fit of simulated series, and the first of them
 take the noise's floor for higher than it is. Since y(z) is the simulator's, an error of J costs precision but no bias.

@@ -135,6 +135,7 @@ class Simulator:
             self._motions(records, draws),
             DRIVES[self.drive],
             GROUPS.index(self.windows.speed_group),
+            self.windows.before,
             self.windows.u,
             draws.stiffness,
             draws.inputs,

@@ -139,10 +139,10 @@ CATALOGUE: Mapping[str, Effect] = {
         _effect("road_bank", "force", "the road's left side is higher (positive)", "F_y = -m g sin(angle)",
                 f"{RAJAMANI}, sec. 2.8", angle=("rad", -0.1, 0.1, 0.0)),
         _effect("crosswind", "force", "steady side wind, acting ahead of the centre of gravity",
-                "F_y = force, M_z = arm force", "a force and its lever",
+                "F_y = force, M_z = arm force; it moves no load", "a force and its lever",
                 force=("N", -1500.0, 1500.0, 0.0), arm=("m", -1.0, 1.0, 0.0)),
         _effect("gust", "force", "side wind for a while, acting ahead of the centre of gravity",
-                "F_y = force, M_z = arm force from start on for duration", "a force and its lever",
+                "F_y = force, M_z = arm force from start on for duration; it moves no load", "a force and its lever",
                 force=("N", -3000.0, 3000.0, 0.0), arm=("m", -1.0, 1.0, 0.0),
                 start=("s", 0.0, 5.0, 0.0), duration=("s", 0.0, 5.0, 0.0)),
         _effect("payload", "force", "load ahead of the empty car's centre of gravity",
@@ -370,13 +370,16 @@ def steering_offset(p, delta: float) -> float:
 
 @compiled_apart
 def steer(p, command, rate: float, out) -> None:
-    """Fill `out` with what the front wheels do [rad] on a command (time,): the steering effects in their order."""
+    """Fill `out` (time,) with what the front wheels do [rad] on the last samples of a command (earlier + time,): the
+    steering effects in their order. They begin at rest on its first sample."""
+    earlier = len(command) - len(out)
     before = angle = played = steering_delay(p, command, 0, rate)
     for k in range(len(command)):
         delayed = steering_delay(p, command, k, rate)
         angle = steering_lag(p, angle, before, delayed, rate)
         before, played = delayed, steering_dead_band(p, played, angle)
-        out[k] = steering_offset(p, steering_ratio(p, played))
+        if k >= earlier:
+            out[k - earlier] = steering_offset(p, steering_ratio(p, played))
 
 
 @compiled
@@ -405,8 +408,10 @@ def brake_gain(p, torque: float) -> float:
 
 @compiled
 def brake_balance(p, front: float, rear: float) -> tuple[float, float]:
-    """Axle torques [N m] with a share of the sum moved to the front axle while neither drives."""
-    moved = p.brake_balance_shift * (front + rear) if front <= 0.0 and rear <= 0.0 else 0.0
+    """Axle torques [N m] with a share of the sum moved to the front axle while neither drives; neither then does."""
+    if front > 0.0 or rear > 0.0:
+        return front, rear
+    moved = min(max(p.brake_balance_shift * (front + rear), rear), -front)
     return front + moved, rear - moved
 
 

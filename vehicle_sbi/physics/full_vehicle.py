@@ -61,12 +61,6 @@ def states(_) -> int:
 
 
 @compiled
-def wheel_speed(v_axle: float, r: float, y: float, R_e: float) -> float:
-    """Speed [rad/s] of a wheel at y [m] left of the middle of an axle whose mean wheel speed is `v_axle` [rad/s]."""
-    return v_axle - r * y / R_e
-
-
-@compiled
 def place(p, i: int) -> tuple[float, float]:
     """Where wheel i stands, (x, y) [m] from the centre of gravity."""
     side = 0.5 if i % 2 == 0 else -0.5
@@ -75,12 +69,10 @@ def place(p, i: int) -> tuple[float, float]:
 
 @compiled
 def impose(p, drive: int, u, state) -> None:
-    """Overwrite the states that the drive mode takes from the recording."""
+    """Overwrite the states that the drive mode takes from the recording: each wheel has its axle's mean speed."""
     if drive == WHEEL_SPEED:
-        R_f, R_r = rolling_radii(p)
         for i in range(WHEELS):
-            axle, R_e = (u[U_OMEGA_F], R_f) if i < 2 else (u[U_OMEGA_R], R_r)
-            state[OMEGA + i] = wheel_speed(axle, state[R], place(p, i)[1], R_e)
+            state[OMEGA + i] = u[U_OMEGA_F] if i < 2 else u[U_OMEGA_R]
     elif drive == SPEED:
         state[V_X] = u[U_V_X]
 
@@ -220,13 +212,28 @@ def wheel(p, axle: Axle, y: float, v_x: float, v_y: float, r: float, omega: floa
 
 
 @compiled
-def contact(p, car: Car, axle: Axle, front: Front, w: Wheel, F_z: float, pull: float) -> Contact:
+def in_plane(front: Front, w: Wheel) -> float:
+    """Speed [m/s] of a wheel in its own plane."""
+    return w.v_along * front.cosine + w.v_across * front.sine
+
+
+@compiled
+def rolling_freely(p, axle: Axle, front: Front, left: Wheel, right: Wheel, F_l: float, F_r: float) -> float:
+    """Mean speed [rad/s] at which an axle's wheels would turn without slip, under their loads [N]."""
+    R_l, R_r = effective_radius(axle.R, p.C_vert, 2.0 * F_l), effective_radius(axle.R, p.C_vert, 2.0 * F_r)
+    return 0.5 * (regular(in_plane(front, left)) / R_l + regular(in_plane(front, right)) / R_r)
+
+
+@compiled
+def contact(p, car: Car, axle: Axle, front: Front, w: Wheel, F_z: float, freely: float, pull: float) -> Contact:
     """What the tyre of a wheel that points to the `front` does under the load F_z [N].
 
-    `pull` is its axle's longitudinal force [N] where the speed is given.
+    `pull` is its axle's longitudinal force [N] where the speed is given. Where wheel speeds are, only their mean is
+    known: an open differential drives both wheels alike, so both have the slip of the mean over `freely` [rad/s].
     """
-    R_e, alpha = effective_radius(axle.R, p.C_vert, 2.0 * F_z), front.delta - w.beta
-    kappa = 0.0 if car.drive == SPEED else slip(R_e * w.omega, w.v_along * front.cosine + w.v_across * front.sine)
+    R_e, alpha, v_wheel = effective_radius(axle.R, p.C_vert, 2.0 * F_z), front.delta - w.beta, in_plane(front, w)
+    rolled = v_wheel * w.omega / freely if car.drive == WHEEL_SPEED else R_e * w.omega
+    kappa = 0.0 if car.drive == SPEED else slip(rolled, v_wheel)
     tan_alpha = w.tan_alpha if w.share == 1.0 else tangent(mixed(w.share, w.alpha, alpha))
     mu, steady, load = axle.slide * car.outside.mu, car.outside.steady, F_z / axle.F_z_static
     if car.drive == SPEED:
@@ -255,10 +262,12 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     straight, pull_f, pull_r = pointing(0.0, 0.0), 0.0, 0.0
     if car.drive == SPEED:
         pull_f, pull_r = pulls(p, out, front, a_x)
-    fl = contact(p, car, car.front, front, car.front_left, F_z[0], pull_f)
-    fr = contact(p, car, car.front, front, car.front_right, F_z[1], pull_f)
-    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], pull_r)
-    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3], pull_r)
+    free_f = rolling_freely(p, car.front, front, car.front_left, car.front_right, F_z[0], F_z[1])
+    free_r = rolling_freely(p, car.rear, straight, car.rear_left, car.rear_right, F_z[2], F_z[3])
+    fl = contact(p, car, car.front, front, car.front_left, F_z[0], free_f, pull_f)
+    fr = contact(p, car, car.front, front, car.front_right, F_z[1], free_f, pull_f)
+    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], free_r, pull_r)
+    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3], free_r, pull_r)
     F_along = (fl.F_x + fr.F_x) + (rl.F_x + rr.F_x)
     F_x = out.push_x + F_along
     F_y = out.push_y + (fl.F_y + fr.F_y) + (rl.F_y + rr.F_y)
@@ -345,8 +354,9 @@ def start(p, drive: int, u, initial, state) -> None:
         for i in range(WHEELS):
             x, y = place(p, i)
             delta, R_e = (u[DELTA], R_f) if i < 2 else (0.0, R_r)
-            v_wheel = (v_x - r * y) * math.cos(delta) + (v_y + r * x) * math.sin(delta)
-            state[KAPPA + i] = slip(R_e * state[OMEGA + i], v_wheel)
+            middle = regular(v_x * math.cos(delta) + (v_y + r * x) * math.sin(delta))
+            v_wheel = middle - r * y * math.cos(delta)
+            state[KAPPA + i] = slip(v_wheel * state[OMEGA + i] * R_e / middle, v_wheel)
 
 
 @compiled_apart

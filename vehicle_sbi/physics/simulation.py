@@ -27,6 +27,7 @@ from vehicle_sbi.physics.sensors import (
     unreported,
 )
 from vehicle_sbi.physics.single_track import (
+    COMMANDS,
     DELTA,
     SPEED,
     T_F,
@@ -151,18 +152,25 @@ def drive_through(model, p, drive: int, u, stiffness_noise, dt: float, substeps:
 
 
 @compiled_apart
-def actuate(p, u, input_noise, rate: float, out) -> None:
+def actuate(p, before, u, input_noise, rate: float, out) -> None:
     """What reaches the wheels: steering and torques through their effects, both with their relative noise.
 
-    u, out (time, 9); input_noise (draws, 2) for steering and torques, one draw for the window or one per sample.
+    before (earlier, 3) has the COMMANDS of the samples before u, which lags, delays and plays remember; u, out
+    (time, 9); input_noise (draws, 2) for steering and torques, one draw for the window or one per sample.
     """
+    earlier, commands = len(before), np.empty((len(COMMANDS), len(before) + len(u)))
+    for i in range(len(COMMANDS)):
+        for k in range(earlier):
+            commands[i, k] = before[k, i]
+        for k in range(len(u)):
+            commands[i, earlier + k] = u[k, i]
     for k in range(u.shape[0]):
         for i in range(u.shape[1]):
             out[k, i] = u[k, i]
-    steer(p, u[:, DELTA], rate, out[:, DELTA])
+    steer(p, commands[DELTA], rate, out[:, DELTA])
     for k in range(u.shape[0]):
         i = min(k, len(input_noise) - 1)
-        T_f, T_r = torques(p, u[:, T_F], u[:, T_R], k, rate)
+        T_f, T_r = torques(p, commands[T_F], commands[T_R], earlier + k, rate)
         out[k, DELTA] = (1.0 + input_noise[i, 0]) * (out[k, DELTA] + latent_steering(p, u[k, U_LATENT]))
         out[k, T_F] = (1.0 + input_noise[i, 1]) * T_f
         out[k, T_R] = (1.0 + input_noise[i, 1]) * T_r
@@ -194,6 +202,7 @@ def simulate(
     members,
     drive: int,
     speed_group: int,
+    before,
     u,
     stiffness_noise,
     input_noise,
@@ -207,8 +216,8 @@ def simulate(
     """One motion over all windows, as the sensors of each of its `members` read it; returns its outcome.
 
     `members` index records (n,) and y (n, channels, windows * time), which is NaN where the simulation fails; the first
-    of them drives. u (windows, time, 9), substeps (windows,), initial (windows, 3), channels and groups index
-    MEASUREMENTS and GROUPS, `speed_group` is the group of the speeds that drive the model.
+    of them drives. before (windows, earlier, 3), u (windows, time, 9), substeps (windows,), initial (windows, 3),
+    channels and groups index MEASUREMENTS and GROUPS, `speed_group` is the group of the speeds that drive the model.
     """
     windows, time, p = u.shape[0], u.shape[1], records[members[0]]
     motion, reading = np.empty((time, len(MOTION))), np.empty((len(MEASUREMENTS), time))
@@ -216,7 +225,7 @@ def simulate(
     for member in members:
         derive(records[member])
     for w in range(windows):
-        actuate(p, u[w], input_noise, rate, acting)
+        actuate(p, before[w], u[w], input_noise, rate, acting)
         measured_speeds(p, drive, speed_group, u[w], rate, acting)
         outcome = drive_through(model, p, drive, acting, stiffness_noise, 1.0 / rate, substeps[w], initial[w], motion)
         if outcome != FINISHED:
@@ -244,7 +253,8 @@ def sense(p, motion, t, rate: float, u, channels, groups, reading, y, first: int
 @cache
 def batch_simulator(model: str) -> Callable[..., None]:
     """Simulations of one of MODELS on all cores, compiled when first called: a function of records (n,), the Motions
-    that they share, the drive mode, the group of its speeds, u (windows, time, 9), stiffness_noise (n, draws, 4),
+    that they share, the drive mode, the group of its speeds, the COMMANDS before each window (windows, earlier, 3), u
+    (windows, time, 9), stiffness_noise (n, draws, 4),
     input_noise (n, draws, 2), rate [Hz], substeps (windows,), initial (n, windows, 3), channels, groups, that fills
     y (n, channels, windows * time) and outcomes (n,)."""
     equations = MODELS[model]
@@ -257,6 +267,7 @@ def batch_simulator(model: str) -> Callable[..., None]:
         shares,
         drive,
         speed_group,
+        before,
         u,
         stiffness_noise,
         input_noise,
@@ -277,6 +288,7 @@ def batch_simulator(model: str) -> Callable[..., None]:
                 members,
                 drive,
                 speed_group,
+                before,
                 u,
                 stiffness_noise[first],
                 input_noise[first],

@@ -26,6 +26,7 @@ from vehicle_sbi.physics.effects import (
     lean_period,
     lean_share,
     moves_load_across,
+    road_bank,
     wheels_differ,
 )
 from vehicle_sbi.physics.tyre import effective_radius, grips
@@ -37,6 +38,7 @@ INPUTS = (
     "latent",
 )  # fmt: skip
 DELTA, T_F, T_R, U_V_X, U_V_X_DOT, U_OMEGA_F, U_OMEGA_R, TIME, U_LATENT = range(len(INPUTS))
+COMMANDS = INPUTS[:3]  # what a driver or an actuator is told
 
 STATES = 13
 V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_FR, ALPHA_RR, ALPHA_FL, ALPHA_RL, LEAN, LEANING = range(STATES)
@@ -224,7 +226,7 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     faster = right_faster(p, car.v_x, out.steady)
     slips_f = Slips(kappa_f, car.kappa_f, car.share_f, faster, tan_f.right, tan_f.left, p.split_f, p.slope_f)
     slips_r = Slips(kappa_r, car.kappa_r, car.share_r, faster, car.tan_r.right, car.tan_r.left, p.split_r, p.slope_r)
-    moved = car.at_once * a_y + car.leant
+    moved = car.at_once * (a_y + road_bank(p)) + car.leant
     if car.drive == SPEED:
         pull_f, pull_r = pulls(p, out, front, a_x)
         f = axle_side_force(p, axle_f, pull_f, slips_f, p.moved_f * moved)
@@ -320,12 +322,13 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     if differ:
         rate[ALPHA_FL] = fade_f * (front.delta - moving_f.left - alpha_f.left)
         rate[ALPHA_RL] = fade_r * (-moving_r.left - alpha_r.left)
-        lean(p, leaning, rate[V_Y] + v_x * r, state, rate)
+        lean(p, leaning, rate[V_Y] + v_x * r + road_bank(p), state, rate)
 
 
 @compiled
 def lean(p, share: float, a_y: float, state, rate) -> None:
-    """Fill d/dt of the body's lean and of its rate in a turn of a_y [m/s^2], if a share of the load moves with it."""
+    """Fill d/dt of the body's lean and of its rate if a share of the load moves with it; a_y [m/s^2] is what the body
+    feels."""
     rate[LEAN] = rate[LEANING] = 0.0
     if share > 0.0:
         T = lean_period(p)
@@ -350,7 +353,7 @@ def start(p, drive: int, u, initial, state) -> None:
     """Fill the state at the first sample from (v_x, v_y, r): wheels rolling freely, or as recorded, slips and the body
     settled."""
     state[V_X], state[V_Y], state[R] = initial[0], initial[1], initial[2]
-    state[LEAN], state[LEANING] = initial[0] * initial[2], 0.0
+    state[LEAN], state[LEANING] = initial[0] * initial[2] + road_bank(p), 0.0
     v_wheel_f = contact_speed(p, u[DELTA], state[V_X], state[V_Y], state[R])
     R_f, R_r = rolling_radii(p)
     state[OMEGA_F], state[OMEGA_R] = v_wheel_f / R_f, state[V_X] / R_r

@@ -45,8 +45,8 @@ MEANINGS: Mapping[str, str] = {
     "m_s": "sprung mass",
     "I_x": "roll inertia of the sprung mass",
     "I_y": "pitch inertia of the sprung mass",
-    "h_roll": "roll axis under the centre of gravity",
-    "h_pitch": "height of the pitch axis",
+    "h_roll": "height of the roll axis above the ground, at the centre of gravity",
+    "h_pitch": "height of the pitch axis above the ground",
     "K_roll": "roll stiffness, both axles",
     "D_roll": "roll damping, both axles",
     "roll_front": "front axle's share of the roll stiffness",
@@ -88,7 +88,7 @@ class Vehicle:
     m_s: float | None = None  # sprung mass [kg]
     I_x: float | None = None  # roll inertia of the sprung mass about its centre of gravity [kg m^2]
     I_y: float | None = None  # pitch inertia of the sprung mass about its centre of gravity [kg m^2]
-    h_roll: float | None = None  # height of the roll axis under the centre of gravity [m]
+    h_roll: float | None = None  # height of the roll axis above the ground, at the centre of gravity [m]
     h_pitch: float | None = None  # height of the pitch axis [m]
     K_roll: float | None = None  # roll stiffness, both axles together [N m/rad]
     D_roll: float | None = None  # roll damping, both axles together [N m s/rad]

@@ -62,13 +62,14 @@ class Followed:
 
 @dataclass(frozen=True)
 class Outgrown:
-    """Base parameters at the bounds (low, high) of their priors, the effects that they stand beside, and in which part
-    of the draws they are there."""
+    """Base parameters beyond the bounds (low, high) of their priors, the effects that they stand beside, in which part
+    of the draws they are there, and the bound beyond which each mostly is."""
 
     parameters: dict[str, Estimate]
     prior: dict[str, tuple[float, float]]
     effects: tuple[str, ...]
     probability: float
+    bound: dict[str, float]
 
 
 @dataclass(frozen=True)

@@ -149,14 +149,12 @@ def _named(pruned: Pruned, effects: tuple[str, ...], rows: np.ndarray, model: Mo
 def _parameters(pruned: Pruned, effects: Sequence[str], rows: np.ndarray) -> dict[str, Estimate]:
     """Of a set's effects the parameters that are away from their nulls in it, from its own draws if they suffice."""
     space, expansion = pruned.fit.simulator.space, pruned.expansion
-    names = [p.name for p in expansion.sizes]
+    names, sizes = [p.name for p in expansion.sizes], pruned.mostly(effects, rows)
     found = dict[str, Estimate]()
     for p in (*expansion.sizes, *expansion.shapes):
-        if p.name.split(".")[0] not in effects:
+        if p.name.split(".")[0] not in effects or (p.name in names and p.name not in sizes):
             continue
         there = pruned.included[:, names.index(p.name)] if p.name in names else pruned.missing[p.name.split(".")[0]]
-        if p.name in names and there[rows].mean() <= NAMED:
-            continue
         chosen = rows & there if (rows & there).sum() >= FEWEST else there
         found[p.name] = drawn(pruned.theta[chosen, space.column(p.name)], p.unit)
     return found
@@ -219,10 +217,11 @@ def _over_time(fit: Fit, one: Remainder) -> Latent:
 def _outgrown(pruned: Pruned, effects: tuple[str, ...]) -> list[Outgrown]:
     found = list[Outgrown]()
     for p in pruned.expansion.base:
-        share = float(pruned.beyond[pruned.expansion.space.column(p.name)])
-        if share > STUCK:
+        below, above = pruned.beyond[:, pruned.expansion.space.column(p.name)].tolist()
+        if below + above > STUCK:
+            estimate, bound = drawn(pruned.draws(p.name), p.unit), p.low if below > above else p.high
             found.append(
-                Outgrown({p.name: drawn(pruned.draws(p.name), p.unit)}, {p.name: (p.low, p.high)}, effects, share)
+                Outgrown({p.name: estimate}, {p.name: (p.low, p.high)}, effects, below + above, {p.name: bound})
             )
     return found
 

@@ -210,7 +210,7 @@ def _shown(answer: Verdict) -> Iterator[str]:
 
 
 def _at_bounds(unknown: Unknown | None) -> list[str]:
-    found = [(name, one.prior[name], e.mean) for one in _outgrown(unknown) for name, e in one.parameters.items()]
+    found = [(name, one.prior[name], bound) for one in _outgrown(unknown) for name, bound in one.bound.items()]
     if not found:
         return []
     names = enumerated([name for name, _, _ in found])

@@ -55,8 +55,9 @@ class Experiment:
 
 
 def _driven(simulator: Simulator, u: Float[np.ndarray, "windows time 9"], start: Float[np.ndarray, " 3"]) -> Simulator:
-    """With other inputs, from so many times the initial states."""
-    return replace(simulator, windows=replace(simulator.windows, u=u, x0=simulator.windows.x0 * start))
+    """With other inputs, which nothing goes before, from so many times the initial states."""
+    windows = simulator.windows
+    return replace(simulator, windows=replace(windows, u=u, before=windows.before[:, :0], x0=windows.x0 * start))
 
 
 def _steered(simulator: Simulator, steering: Float[np.ndarray, "windows time"], turning: float) -> Simulator:
@@ -113,7 +114,7 @@ def _walking(simulator: Simulator) -> Simulator:
     u[..., [STEERING, ACCELERATION]] = 0.0
     u[..., SPEED], u[..., WHEELS] = WALKING, WALKING / simulator.nominal["R_f"]
     x0 = np.tile([WALKING, 0.0, 0.0], (len(u), 1))
-    slow = replace(simulator, windows=replace(simulator.windows, u=u, x0=x0))
+    slow = replace(simulator, windows=replace(simulator.windows, u=u, before=simulator.windows.before[:, :0], x0=x0))
     return _finer(slow, WALKING / simulator.windows.x0[:, 0])
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vehicle_sbi.data.noise import from_residual
+from vehicle_sbi.data.noise import FEWEST, from_residual
 from vehicle_sbi.inference.directions import null
 from vehicle_sbi.mismatch.estimation.fit import MEMORY_S, Fit, linearise
 from vehicle_sbi.mismatch.problem.observation import Observation
@@ -31,9 +31,13 @@ def under_own_noise(fit: Fit) -> Fit:
     """The fit with the noise that it leaves over there, where that is more than it does where it was fitted.
 
     A linear model would make parameters answer for what is wrong with the fit in recordings that it has never seen.
+    A channel that is too rarely measured there to tell keeps its noise.
     """
-    noise, left = fit.simulator.noise, from_residual(fit.unexplained, fit.simulator.windows, MEMORY_S)
-    more = left.floor > noise.floor
+    noise, windows = fit.simulator.noise, fit.simulator.windows
+    enough = windows.valid.sum(axis=1) >= FEWEST
+    known = replace(windows, valid=np.where(enough[:, None], windows.valid, True))
+    left = from_residual(np.where(enough[:, None], fit.unexplained, 0.0), known, MEMORY_S)
+    more = enough & (left.floor > noise.floor)
     noise = replace(noise, floor=np.maximum(left.floor, noise.floor), rho=np.where(more, left.rho, noise.rho))
     return replace(fit, observation=fit.observation.extended(fit.simulator.with_noise(noise)))
 

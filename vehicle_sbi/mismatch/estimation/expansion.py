@@ -35,7 +35,8 @@ STABLE = 2.0  # step times rate at most
 class Expansion:
     """What is free in the expanded model: `base`, then `sizes` along which effects leave their nulls, then `shapes`.
 
-    `typical` are the sizes' typical distances from null, `rates` how often cars have them, both in the sizes' order.
+    `typical` are the sizes' typical distances from null, `rates` how often cars have them, both in the sizes' order; of
+    what comes and goes, how often in its span.
     """
 
     base: tuple[Parameter, ...]
@@ -52,8 +53,9 @@ class Expansion:
         acting = [*(d for d in known if not d.clocked), *spans]
         sizes = [*dict.fromkeys(d.parameter for d in acting)]
         shapes = [*dict.fromkeys(p for d in acting for p in d.held if p not in sizes)]
-        typical, rates = (np.array([of(p) for p in sizes]) for of in (prior.size_of, prior.rate_of))
-        return cls(space.parameters, tuple(sizes), tuple(shapes), typical, rates)
+        share = {d.parameter: d.share for d in acting}
+        typical, rates = ([prior.size_of(p) for p in sizes], [prior.rate_of(p) * share[p] for p in sizes])
+        return cls(space.parameters, tuple(sizes), tuple(shapes), np.array(typical), np.array(rates))
 
     @property
     def space(self) -> ParameterSpace:

@@ -24,7 +24,7 @@ Steps = Float[np.ndarray, "k channels time"]
 
 def to_nulls(expansion: Expansion, fits: Sequence[Fit]) -> list[Fit]:
     """Fits of one point of the expanded model to several recordings, with derivatives by some sizes over the way back
-    to their nulls, a simulation each.
+    to their nulls, a simulation each. What happened in the first recording alone stays out of the others' steps.
 
     Where a step is plain to see beside the base parameters, the effect is there in any case, and its slope at the fit
     says how large it is.
@@ -34,7 +34,7 @@ def to_nulls(expansion: Expansion, fits: Sequence[Fit]) -> list[Fit]:
     if not len(away):
         return [*fits]
     nulls = _nulls(expansion, fits, away)
-    steps = [_steps(one, nulls) for one in fits]
+    steps = [_steps(one, np.where(nulls == fits[0].theta, one.theta, nulls)) for one in fits]
     left = np.sum([_left(one, own, step) for one, step in zip(fits, steps, strict=True)], axis=0)
     hidden = left < PLAIN**2
     moved = (c - expansion.coefficients(nulls))[hidden]

@@ -38,7 +38,7 @@ class Discrepancy:
     course: Float[np.ndarray, "q time"]
 
     def believed(self, prior: EffectPrior) -> Belief:
-        """An amplitude that is half normal on a grid, of either sign."""
+        """Its amplitude on a grid, log-uniform and cut off, of either sign."""
         return believed(len(self.series), prior)
 
 
@@ -84,7 +84,8 @@ def responses(fit: Fit) -> list[Response]:
 
 
 def believed(columns: int, prior: EffectPrior) -> Belief:
-    """A discrepancy of so many columns: an amplitude that is half normal on a grid, of either sign."""
+    """A discrepancy of so many columns: of either sign, its amplitude on a grid that is even in its logarithm, cut off
+    as a normal density is."""
     share = np.exp(-0.5 * AMPLITUDES**2)
     return Belief(
         named=False,

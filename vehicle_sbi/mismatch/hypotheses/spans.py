@@ -13,14 +13,20 @@ from vehicle_sbi.parameters import Parameter
 
 def likeliest_spans(fit: Fit, known: Sequence[Direction]) -> list[Direction]:
     """Of directions that come and go, each in its likeliest shape, when it begins and how long it lasts being free
-    within a tile of the recordings' time."""
+    within a tile of the recordings' time.
+
+    It is the likeliest of many, all of which were as likely before. Its share is such that it weighs what all weigh
+    together: the mean of their likelihoods over the largest.
+    """
     seconds = tile(fit.simulator)
     return [_freed(_likeliest(fit, d), seconds) for d in known if d.clocked]
 
 
 def _likeliest(fit: Fit, direction: Direction) -> Direction:
     tried = shapes(fit.simulator, direction)
-    return tried[int(np.argmax(_gains(fit, slopes(fit.simulator, fit.theta, tried))))]
+    gains = _gains(fit, slopes(fit.simulator, fit.theta, tried))
+    best = int(np.argmax(gains))
+    return replace(tried[best], share=float(np.mean(np.exp(gains - gains[best]))))
 
 
 def _gains(fit: Fit, changes: Float[np.ndarray, "k channels time"]) -> Float[np.ndarray, " k"]:

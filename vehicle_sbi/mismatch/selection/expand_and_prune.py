@@ -145,7 +145,7 @@ class _Told:
         left = remainders(self.fit, self.off, drawn.coefficient[:, first:], discrepant)
         unexplained = np.asarray(discrepant.any(axis=1))
         theta, shows = _theta(expansion, drawn.coefficient), showing(expansion, self.problem)
-        beyond = ((theta < space.low) | (theta > space.high)).mean(axis=0)
+        beyond = np.stack([(theta < space.low).mean(axis=0), (theta > space.high).mean(axis=0)])
         within = folded(theta, space.low, space.high)
         return Pruned(expansion, within, included, unexplained, beyond, shows, self.fit, left)
 

@@ -13,7 +13,7 @@ from vehicle_sbi.mismatch.selection.pruned import Pruned
 
 ALIKE = 0.05  # least probability of an effect that may stand for another
 INSTEAD = -0.3  # correlation of two effects' being there, from which they stand for each other
-NEEDED = 0.5  # probability that an effect has a size, or that one of several is missing
+NEEDED = 0.5  # probability that one of several effects is missing
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def extended(base: Fit, pruned: Pruned | None, alike: Sequence[Sequence[str]], *
 
 def with_effects(base: Fit, pruned: Pruned, effects: Collection[str]) -> Model | None:
     """The base model with some effects, by the sizes that each mostly has; None if it cannot be simulated."""
-    expansion = pruned.expansion.only(_sizes(pruned, effects))
+    expansion = pruned.expansion.only(pruned.mostly(effects))
     simulator = replace(base.simulator, substeps=pruned.fit.simulator.substeps)
     observation = base.observation.extended(simulator).freeing(expansion.space.parameters)
     *near, null = _starts(base, pruned, expansion)
@@ -54,18 +54,6 @@ def _starts(base: Fit, pruned: Pruned, expansion: Expansion) -> Float[np.ndarray
     drawn = np.array([pruned.draws(name).mean() for name in names])
     fitted = pruned.fit.theta[[space.column(name) for name in names]]
     return np.stack([drawn, fitted, np.concatenate([base.theta, expansion.rest[len(base.theta) :]])])
-
-
-def _sizes(pruned: Pruned, effects: Collection[str]) -> list[str]:
-    """Of each effect those sizes that it has in most draws in which it is missing, the most frequent one at least."""
-    found = list[str]()
-    for effect in effects:
-        there = pruned.missing[effect]
-        names = [p.name for p in pruned.expansion.sizes]
-        own = [k for k, name in enumerate(names) if name.split(".")[0] == effect]
-        share = pruned.included[there][:, own].mean(axis=0)
-        found += [names[k] for k, s in zip(own, share, strict=True) if s > NEEDED or s == share.max()]
-    return found
 
 
 def _exchanged(pruned: Pruned, effects: tuple[str, ...], alike: Sequence[Sequence[str]]) -> tuple[str, ...]:

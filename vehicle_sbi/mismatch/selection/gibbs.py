@@ -15,6 +15,8 @@ from vehicle_sbi.mismatch.selection.inverse import LEAST, factorised, rounded, s
 
 REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
+REDRAWN = 10  # times that each coefficient of a draw is drawn given all others
+CLEAR = 3.0  # standard deviations off zero, from which a normal hardly knows the other side of it
 SWAPS = 6  # of two groups' states, tried in a sweep
 
 
@@ -64,9 +66,14 @@ def _log_slab(mean: float, variance: float, sd: float, sign: int) -> float:
 @compiled_apart
 def _log_box(mean: float, variance: float, low: float, high: float, outside: float) -> float:
     """Log probability of a coefficient, under its normal, to be within its box, which is wrong with a probability."""
-    std = math.sqrt(2.0 * variance)
-    within = 0.5 * (math.erfc((low - mean) / std) - math.erfc((high - mean) / std))
-    return math.log((1.0 - outside) * within + outside)
+    return math.log((1.0 - outside) * _within(mean, math.sqrt(variance), low, high) + outside)
+
+
+@compiled_apart
+def _within(mean: float, std: float, low: float, high: float) -> float:
+    """Probability of a normal to be between two limits."""
+    wide = math.sqrt(2.0) * std
+    return 0.5 * (math.erfc((low - mean) / wide) - math.erfc((high - mean) / wide))
 
 
 @compiled_apart
@@ -140,21 +147,24 @@ def _width(g, level, believed):
 
 
 @compiled_apart
-def _drawn(H, precision, m, sign, slab):
-    """Coefficients from their normal, those on the wrong side of zero drawn again one after another, as Gibbs does."""
-    n = len(m)
+def _drawn(H, believed, state):
+    """Coefficients given the levels: from their normal, then those with a box or in a slab one after another given all
+    others (Gibbs), under their priors' whole densities."""
+    m, precision, low, high = state.m, state.precision, believed.low, believed.high
+    n, boxed = len(m), len(low)
     L = np.linalg.cholesky(H + np.diag(precision))
     x = m + _solved_upwards(L, np.random.standard_normal(n))
-    held = [j for j in range(n) if sign[j] != 0 and slab[j] > 0.0]
-    for j in held:
-        if sign[j] * x[j] < 0.0:
-            x[j] = 0.0
-    for _ in range(4 if len(held) else 0):
+    for _ in range(REDRAWN):
         off = H @ (x - m) + precision * (x - m)
-        for j in held:
-            a = H[j, j] + precision[j]
-            mean = x[j] - off[j] / a
-            to = sign[j] * _above_zero(sign[j] * mean, 1.0 / math.sqrt(a))
+        for j in range(n):
+            if j >= boxed and state.slab[j] <= 0.0:
+                continue
+            std = 1.0 / math.sqrt(H[j, j] + precision[j])
+            mean = x[j] - off[j] * std * std
+            if j < boxed:
+                to = _mostly_within(mean, std, low[j], high[j], believed.outside)
+            else:
+                to = _off_zero(mean, std, believed.sign[j])
             off += (to - x[j]) * H[:, j]
             off[j] += (to - x[j]) * precision[j]
             x[j] = to
@@ -172,19 +182,57 @@ def _solved_upwards(L, z):
 
 
 @compiled_apart
-def _above_zero(mean, std):
-    """A normal draw given that it is positive (Robert 1995)."""
-    low = -mean / std
-    if low < 1.0:
+def _off_zero(mean, std, sign):
+    """A draw x in proportion to x^2 times a normal density, on its side of zero if it has one, by rejection.
+
+    Away from zero, of the normal and of z^2 times it (Maxwell's law) in proportion to their parts; near it or beyond,
+    of the gamma law t^2 exp(-rate t) that touches the density where it is largest over it.
+    """
+    if sign != 0 and sign * mean < CLEAR * std:
+        low = -sign * mean / std
+        rate = 0.5 * (low + math.sqrt(low * low + 12.0))
+        while True:
+            t = np.random.gamma(3.0, 1.0 / rate)
+            if np.random.random() < math.exp(-0.5 * (t - rate + low) ** 2):
+                return sign * std * t
+    share = mean * mean / (mean * mean + std * std)
+    while True:
+        z = np.random.standard_normal()
+        if np.random.random() > share:
+            z = math.copysign(math.sqrt(z * z + 2.0 * np.random.exponential()), z)
+        x = mean + std * z
+        if np.random.random() * 2.0 * (mean * mean + std * std * z * z) < x * x and sign * x >= 0.0:
+            return x
+
+
+@compiled_apart
+def _mostly_within(mean, std, low, high, outside):
+    """A normal draw within its box, or anywhere with the probability that the box is wrong."""
+    within = (1.0 - outside) * _within(mean, std, low, high)
+    if np.random.random() * (within + outside) >= within:
+        return mean + std * np.random.standard_normal()
+    a, b = (low - mean) / std, (high - mean) / std
+    return mean + std * (_between(a, b) if b > 0.0 else -_between(-b, -a))
+
+
+@compiled_apart
+def _between(a, b):
+    """A standard normal draw between a and b, b being positive (Robert 1995)."""
+    if a < 0.0 and b - a > 1.0:
         while True:
             z = np.random.standard_normal()
-            if z > low:
-                return mean + std * z
-    rate = 0.5 * (low + math.sqrt(low * low + 4.0))
+            if a < z < b:
+                return z
+    nearest, rate = max(a, 0.0), 0.5 * (a + math.sqrt(a * a + 4.0))
+    if (b - a) * rate < 1.0:
+        while True:
+            z = a + (b - a) * np.random.random()
+            if np.random.random() < math.exp(0.5 * (nearest * nearest - z * z)):
+                return z
     while True:
-        z = low + np.random.exponential(1.0 / rate)
-        if np.random.random() < math.exp(-0.5 * (z - rate) ** 2):
-            return mean + std * z
+        z = a + np.random.exponential(1.0 / rate)
+        if z < b and np.random.random() < math.exp(-0.5 * (z - rate) ** 2):
+            return z
 
 
 @compiled_apart
@@ -226,7 +274,7 @@ def run_chain(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
         discrepant = discrepants[_chosen(np.array(tried))]
         if sweep >= forgotten and (sweep - forgotten) % every == 0 and row < kept:
             levels[row] = state.level
-            values[row] = _drawn(H, state.precision, state.m, believed.sign, state.slab)
+            values[row] = _drawn(H, believed, state)
             means[row] = state.m
             row += 1
     return levels, values, means

@@ -6,9 +6,10 @@ With H = X X' and b = X r of whitened columns X and residual r, coefficients nor
 
 where the state s gives each group of columns one of a few amplitudes. A named effect has a *spike*, a size so small
 that it is negligible, and *slabs*, sizes that it has where it is missing (George and McCulloch 1993, stochastic search
-variable selection). How much is missing at all is learned, as a factor on the odds of all rates. A coefficient that
-may not be negative counts in a slab by its normal's mass on the right side of zero, one that is always there by its
-mass within its box. Coefficients are integrated out; those of the states that are kept are drawn afterwards.
+variable selection). How much is missing at all is learned, as a factor on the odds of all rates. A coefficient in a
+slab counts by its expected square, on the right side of zero where it may not be negative; one that is always there by
+its mass within its box. Expectations of several are taken for independent. Coefficients are integrated out; those of
+the states that are kept are drawn afterwards.
 The chain is in `gibbs`.
 """
 
