@@ -305,7 +305,7 @@ def downhill(c: Car) -> float:
 
 
 def leaning_body(c: Car) -> tuple[float, float]:
-    """Of y'' + 2 damping w y' + w^2 y = w^2 (a_y + g_y) the stiffness w^2 and the damping; 0 where load moves at once."""
+    """Of y'' + 2 damping w y' + w^2 y = w^2 (a_y + g_y) stiffness w^2 and damping, 0 where load moves at once."""
     if c["lateral_load_transfer_period"] == 0.0 or c["lateral_load_transfer_uneven"] == 0.0:
         return 0.0, 0.0
     w = 2.0 * math.pi / c["lateral_load_transfer_period"]

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from made_up import RATE, in_windows, recording
 
+from vehicle_sbi.data.cutting import REMEMBERED_S
 from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.physics.single_track import INPUTS
+from vehicle_sbi.physics.single_track import COMMANDS, INPUTS
 
 
 @pytest.mark.parametrize("length_s", [0.37, 1.0, 5.0, 7.5])
@@ -42,8 +43,28 @@ def test_a_time_shift_shifts_the_times_and_nothing_else():
     later = Recording(**{**vars(rec), "t": rec.t + 1000.0})
     windows, shifted = in_windows(rec), in_windows(later)
     np.testing.assert_allclose(shifted.t, windows.t + 1000.0)
-    for name in ("u", "y", "valid", "x0", "x0_std"):
+    for name in ("u", "before", "y", "valid", "x0", "x0_std"):
         np.testing.assert_array_equal(getattr(shifted, name), getattr(windows, name))
+
+
+def test_a_window_knows_the_commands_before_it():
+    t = np.arange(2000) / RATE
+    windows = in_windows(recording(steering=0.05 * np.sin(t)), warmup_s=0.0)
+    earlier = windows.before.shape[1]
+    assert earlier == round(REMEMBERED_S * RATE)
+    whole = windows.u[..., : len(COMMANDS)].reshape(-1, len(COMMANDS))
+    for before, start in zip(windows.before, np.arange(len(windows.t)) * windows.t.shape[1], strict=True):
+        np.testing.assert_array_equal(before, whole[np.maximum(np.arange(start - earlier, start), 0)])
+
+
+def test_where_the_commands_before_a_window_are_absent_it_takes_the_next():
+    steering = 0.05 * np.sin(np.arange(2000) / RATE)
+    steering[350:420] = np.nan
+    windows = in_windows(recording(steering=steering), warmup_s=0.0)
+    begun = np.flatnonzero(windows.t[:, 0] > 4.19)[0]
+    before, first = windows.before[begun, :, 0], windows.u[begun, 0, 0]
+    np.testing.assert_array_equal(before[-70:], first)
+    assert np.ptp(before[:-70]) > 0.0
 
 
 def test_start_and_stop_choose_a_stretch():

@@ -144,8 +144,8 @@ def test_a_base_parameter_is_drawn_within_its_box_unless_the_box_is_wrong(mean: 
 
 
 def test_coefficients_that_share_a_recording_are_drawn_from_their_joint_law() -> None:
-    # Two columns, one always there and bounded, one in a slab: moments of the law on a grid. Given the other, each keeps
-    # 0.58 of where that is, so that ten draws of both forget where they start.
+    # Two columns, one always there and bounded, one in a slab: moments of the law on a grid. Given the other, each
+    # keeps 0.58 of where that is, so that ten draws of both forget where they start.
     H, m = np.array([[4.0, 3.2], [3.2, 4.0]]), np.array([0.9, 0.6])
     precision = np.array([1.0, 2.0])
     state = State(np.ones(1, np.int64), precision, np.linalg.inv(H + np.diag(precision)), m, np.array([0.0, 0.7]))

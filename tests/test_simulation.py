@@ -268,6 +268,27 @@ def test_input_noise_scales_steering_and_torques() -> None:
     assert np.array_equal(acting, u * np.array([1.25, 0.5, 0.5, *[1.0] * (len(INPUTS) - 3)]))
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("steering_lag_time", 0.5),
+        ("steering_delay_time", 0.3),
+        ("steering_dead_band_width", 0.02),
+        ("drive_delay_time", 0.3),
+    ],
+)
+def test_actuators_follow_what_came_before_a_window(field: str, value: float) -> None:
+    p, u, half = record_of(PAPER, **{field: value})[0], paper_manoeuvre(STRONG, seconds=8.0), round(4.0 * RATE)
+    u[:, :3] += np.random.default_rng(0).normal(0.0, [0.01, 50.0, 50.0], (len(u), 3))
+    none, whole, later, alone = np.zeros((1, 2)), np.empty_like(u), np.empty_like(u[half:]), np.empty_like(u[half:])
+    derive(p)
+    actuate(p, u[:0, :3], u, none, RATE, whole)
+    actuate(p, u[:half, :3], u[half:], none, RATE, later)
+    actuate(p, u[:0, :3], u[half:], none, RATE, alone)
+    np.testing.assert_array_equal(later, whole[half:])
+    assert np.abs(alone - later)[:10].max() > 0.0
+
+
 # --- where it ends --------------------------------------------------------------------------------------------------
 
 everywhere = st.floats(-1e6, 1e6)

@@ -56,7 +56,7 @@ def cut(
         raise InputError(
             f"{recording.source}: windows of {length_s:g} s need a warm-up shorter than that, not {warmup_s:g} s"
         )
-    inputs = _inputs(recording, drive, steering_ratio)
+    inputs, held = _inputs(recording, drive, steering_ratio)
     y, measured = _measurements(recording, channels, drive)
     state, state_std = _initial_states(recording, wheel_radius)
     usable, notes = _usable(recording, inputs, drive, state[:, 0], v_min, start_s, stop_s)
@@ -68,6 +68,7 @@ def cut(
         raise InputError(f"{recording.source}: no window of {length_s:g} s is left; {said}")
     index, real, to_fit = index[fitted], real[fitted], to_fit[:, fitted]
     left_over = int(usable.sum() - real.sum())
+    notes = [*held, *notes]
     notes += [f"{left_over / recording.rate:.2f} s usable but in no window"] if left_over else []
     y = np.where(real & np.isfinite(y[:, index]), y[:, index], np.nan)
     return Windows(
@@ -87,21 +88,32 @@ def cut(
     )
 
 
-def _inputs(recording: Recording, drive: str, steering_ratio: float | None) -> dict[str, Float[np.ndarray, " time"]]:
-    """What drives the model in this drive mode, at every sample (NaN where it is absent)."""
+def _inputs(
+    recording: Recording, drive: str, steering_ratio: float | None
+) -> tuple[dict[str, Float[np.ndarray, " time"]], list[str]]:
+    """What drives the model in this drive mode, at every sample (NaN where it is absent), and which of it was held."""
     if drive not in NEEDED:
         raise unknown("drive mode", drive, NEEDED, recording.source)
     inputs = {name: recording.required(name, f"drive mode '{drive}'")[0] for name in NEEDED[drive]}
-    inputs["time"] = np.arange(len(recording.t)) / recording.rate
+    steering, notes = _steering(recording, drive, steering_ratio), list[str]()
     if drive == "torque":
         inputs["torque_rear"] = recording.channels.get("torque_rear", np.zeros_like(recording.t))
     else:
         for name in NEEDED[drive]:
-            inputs[name] = denoised(unheld(inputs[name]))
+            inputs[name] = _clean(name, inputs[name], notes)
             if name == "v_x":
                 inputs["v_x_dot"] = slope(inputs[name], recording.rate, f"{recording.source}: {name}")
-    inputs["steering"] = denoised(unheld(_steering(recording, drive, steering_ratio)))
-    return inputs
+    inputs["steering"] = _clean("steering", steering, notes)
+    inputs["time"] = np.arange(len(recording.t)) / recording.rate
+    return inputs, notes
+
+
+def _clean(name: str, values: Float[np.ndarray, " time"], notes: list[str]) -> Float[np.ndarray, " time"]:
+    """An input without the steps of slow updates and without noise; `notes` grows."""
+    moved = unheld(values)
+    if moved is not values:
+        notes.append(f"{name}: updated more slowly than it is sampled; taken as linear between updates")
+    return denoised(moved)
 
 
 def _steering(recording: Recording, drive: str, steering_ratio: float | None) -> Float[np.ndarray, " time"]:

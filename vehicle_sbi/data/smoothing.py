@@ -3,7 +3,7 @@
 from typing import cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.fft import dct, idct
 from scipy.optimize import OptimizeResult, minimize_scalar
 from scipy.signal import savgol_filter
@@ -24,6 +24,9 @@ PENALTIES = (-3.0, 9.0)
 
 MOST_HELD = 20
 """Samples for which a held signal usually stays, at most: one that stays for longer is at rest."""
+
+ONE_STEP = 0.8
+"""Share of changes by a single step, from which a signal's levels are a sensor's."""
 
 
 def smoothed(values: Float[np.ndarray, " time"], rate: float, where: str) -> Float[np.ndarray, " time"]:
@@ -52,7 +55,11 @@ def _filtered(
     if len(known) == 0 or len(values) < length:
         raise InputError(f"{where}: {len(known)} samples at {rate:g} Hz are too few; at least {length} are needed")
     bridged = np.interp(np.arange(len(values)), known, values[known])
-    return np.asarray(savgol_filter(bridged, length, order, deriv=derivative, delta=1.0 / rate))
+    found = np.asarray(savgol_filter(bridged, length, order, deriv=derivative, delta=1.0 / rate))
+    for piece in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+        if len(piece) >= length:  # by itself: what bridges a gap is not what the car did
+            found[piece] = savgol_filter(values[piece], length, order, deriv=derivative, delta=1.0 / rate)
+    return found
 
 
 def denoised(values: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
@@ -81,8 +88,8 @@ def unheld(values: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
     """A signal that is updated more slowly than it is sampled, linear between its updates instead of in steps.
 
     Steps that the car did not make would excite the model. A signal counts as held if it usually stays for two samples
-    or more while it moves; where it rests for longer than that it stays at rest until the last usual step. Absent
-    samples remain absent, and any other signal as it is.
+    or more while it moves, and is not `_rounded`; where it rests for longer than that it stays at rest until the last
+    usual step. Absent samples remain absent, and any other signal as it is.
     """
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < 3:
@@ -92,10 +99,21 @@ def unheld(values: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
     if len(updates) < MOST_HELD:
         return values
     usual = int(np.median(np.diff(updates)))
-    if not 2 <= usual <= MOST_HELD:
+    if not 2 <= usual <= MOST_HELD or _rounded(x, updates):
         return values
     rests = updates[1:][np.diff(updates) > 2 * usual] - usual  # until when a long rest lasts
     knots = np.union1d(np.union1d(updates, rests), [len(x) - 1])
     smooth = values.copy()
     smooth[known] = np.interp(np.arange(len(x)), knots, x[knots])
     return smooth
+
+
+def _rounded(x: Float[np.ndarray, " known"], updates: Int[np.ndarray, " n"]) -> bool:
+    """Whether a signal changes by one step of its sensor at a time, whenever it passes from one level to the next.
+
+    There it is half a step off its level, and not at it, as a signal is that has just been updated. Updates come at
+    equal times, but for a sample; the passages of levels do so only where a signal grows at a constant rate.
+    """
+    changes, lengths = np.abs(np.diff(x[updates])), np.diff(updates[1:])
+    single = float(np.mean(changes < 1.5 * np.quantile(changes, 0.05)))
+    return single >= ONE_STEP and float(np.ptp(np.quantile(lengths, [0.1, 0.9]))) > 1.0

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from vehicle_sbi.data.channels import AXLE_MEANS, CHANNELS
 from vehicle_sbi.data.checks.drive import MOVING, STEERINGS, Drive, Finding, runs
+from vehicle_sbi.data.smoothing import ONE_STEP
 
 MOTION = ("a_x", "a_y", "a_z", "yaw_rate", "roll_rate", "pitch_rate", "v_y")
 WHEELS = tuple(wheel for pair in AXLE_MEANS.values() for wheel in pair)
@@ -31,7 +32,6 @@ FROZEN_S = 2.0  # [s]: slower than any bus repeats its message
 HELD = 20.0  # times as long as the channel usually holds a value
 MOVES = 0.15  # part of its own spread that half of a partner's samples cover meanwhile: a step of a coarse channel
 STEPS = 10  # of the channel that its spread holds, below which its steps show as noise of a tenth of the spread
-ONE_STEP = 0.8  # share of changes by a single step, from which levels are a sensor's and not a driver's
 AGAIN = 5  # changes for each level: a manoeuvre goes through its few levels once or twice
 
 

@@ -203,7 +203,7 @@ def _apart(fits: tuple[Fit, Fit], there: Simulator, at_a: Linear, at_b: Linear) 
     metric = Metric.of(there, at_a)
     d = metric(at_b.y - at_a.y).reshape(-1)
     J: Float[np.ndarray, "p samples"] = metric(np.concatenate([at_a.J, -at_b.J])).reshape(-1, d.size)
-    known = block_diag(*(fit.information + np.eye(len(fit.theta)) for fit in fits))
+    known = block_diag(*(fit.precision for fit in fits))
     score = J @ d
     return float(np.sqrt(max(d @ d - score @ np.linalg.solve(known + J @ J.T, score), 0.0)))
 

@@ -227,11 +227,17 @@ class Fit:
         return there
 
     @property
+    def precision(self) -> Float[np.ndarray, "d d"]:
+        """Of the parameters in standard deviations of their boxes, under a normal prior as wide as the box, or as narrow
+        as shrinkage."""
+        pull = np.ones(len(self.theta)) if self.shrinkage is None else np.maximum(self.shrinkage.precision, 1.0)
+        return self.information + np.diag(pull)
+
+    @property
     def covariance(self) -> Float[np.ndarray, "d d"]:
-        """Of the parameters in their own units, under a normal prior as wide as the box, or as narrow as shrinkage."""
+        """The inverse, in the parameters' own units."""
         spread = self.simulator.space.prior_std
-        pull = np.eye(len(spread)) if self.shrinkage is None else np.diag(np.maximum(self.shrinkage.precision, 1.0))
-        return np.linalg.inv(self.information + pull) * np.outer(spread, spread)
+        return np.linalg.inv(self.precision) * np.outer(spread, spread)
 
 
 @dataclass(frozen=True)
