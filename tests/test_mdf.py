@@ -87,6 +87,25 @@ def test_a_unit_that_is_none_of_the_channel_is_refused_unless_the_mapping_says_a
     assert_is_the_drive(RecordingFile(path=path, mapping=bad).load(), {"v_x": 0.01})
 
 
+def test_a_unit_may_stand_in_the_conversion_of_a_channel(tmp_path):
+    """Some writers say what a scaled value is in there alone; the channel's own unit counts where both have one."""
+    t = np.arange(0.0, 6.0, 0.01)
+    file = MDF(version="4.10")
+    scale: Any = {"a": 0.01, "b": 0.0}
+    for name in ("Inner", "Both"):
+        raw = np.round(DRIVE["v_x"](t) * 360.0).astype(np.uint16)
+        file.append([Signal(raw, t, name=name, unit="km/h", conversion=scale)], acq_name=name, common_timebase=True)
+    for group, own in zip(file.groups, ("", "mph"), strict=True):
+        channel = next(one for one in group.channels if one.conversion is not None)
+        channel.conversion.unit, channel.unit = "km/h", own
+    file.save(tmp_path / "drive.mf4", overwrite=True)
+    file.close()
+    inner, both = read_tables(tmp_path / "drive.mf4")
+    assert (inner.unit("Inner"), both.unit("Both")) == ("km/h", "mph")
+    rec = RecordingFile(path=tmp_path / "drive.mf4", mapping={"v_x": {"column": "Inner"}}).load()
+    assert_is_the_drive(rec, {"v_x": 0.01}, rounding=0.005 / 3.6)
+
+
 def test_columns_of_several_clocks_are_not_summed(tmp_path):
     mapping = {"v_x": {"column": ["Motion/Speed", "Chassis/Speed"]}}
     refused(written(tmp_path), "are on several clocks and cannot be summed", mapping=mapping)

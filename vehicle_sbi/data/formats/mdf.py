@@ -105,7 +105,7 @@ def _groups(path: Path, file: MDF, frames: set[int]) -> Iterator[Table]:
             columns=_Timed(path, file, i, {names[k]: k for k, one in enumerate(channels) if _holds_numbers(one)}),
             time="t",
             clock=clock,
-            units={"t": "s", **{names[k]: one.unit or "" for k, one in enumerate(channels) if k != master}},
+            units={"t": "s", **{names[k]: _unit(one) for k, one in enumerate(channels) if k != master}},
         )
 
 
@@ -122,6 +122,11 @@ class _Timed(Columns):
 def _holds_numbers(channel: Any) -> bool:
     """Whether a channel is of whole numbers or floats (data types 0 to 5), or a master."""
     return channel.data_type <= 5 or channel.channel_type in MASTERS
+
+
+def _unit(channel: Any) -> str:
+    """A channel's unit: its own, else that of its conversion, where writers put what a scaled value is in."""
+    return channel.unit or getattr(channel.conversion, "unit", "") or ""
 
 
 def _clock(file: MDF, group: int) -> str:
