@@ -8,6 +8,7 @@ import pytest
 
 from vehicle_sbi.data.formats.registry import read_tables
 from vehicle_sbi.data.formats.table import Table
+from vehicle_sbi.data.inspection.contents import contents
 from vehicle_sbi.data.mapping import mapping_file
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
@@ -65,6 +66,54 @@ def test_dates_are_no_numbers(tmp_path):
     FRAME.assign(time_s=pd.Timestamp("2020-01-01")).to_parquet(tmp_path / "drive.parquet")
     with pytest.raises(InputError, match="column 'time_s' holds dates; it must hold numbers"):
         only(tmp_path / "drive.parquet").numbers("time_s")
+
+
+def test_time_may_be_the_index_that_pandas_wrote(tmp_path):
+    FRAME.set_index("time_s").to_parquet(tmp_path / "drive.parquet")
+    table = only(tmp_path / "drive.parquet")
+    assert {*table.columns} == {*FRAME}
+    np.testing.assert_array_equal(table.numbers("time_s"), FRAME["time_s"])
+
+
+DATES = pd.Timestamp("2024-05-01 12:00:00.5") + pd.to_timedelta(FRAME["time_s"], unit="s")
+SINCE_1970 = 1_714_564_800.5 + FRAME["time_s"]  # date -u -d '2024-05-01 12:00:00' +%s
+WRITTEN_DATES = {
+    "csv": (DATES, ".csv"),
+    "csv with T and a comma": (DATES.map(lambda one: one.isoformat().replace(".", ",")), ".csv"),
+    "csv of another zone": (DATES.dt.tz_localize("UTC").dt.tz_convert("Asia/Tokyo"), ".csv"),
+    "parquet": (DATES, ".parquet"),
+    "parquet of another zone": (DATES.dt.tz_localize("UTC").dt.tz_convert("America/New_York"), ".parquet"),
+}
+
+
+@pytest.mark.parametrize("case", WRITTEN_DATES)
+def test_dates_as_time_are_seconds_since_the_epoch(tmp_path, case):
+    """A double holds them to 0.24 us."""
+    dates, suffix = WRITTEN_DATES[case]
+    path, frame = tmp_path / f"drive{suffix}", FRAME.assign(time_s=dates)
+    frame.to_csv(path, index=False) if suffix == ".csv" else frame.to_parquet(path)
+    found = only(path).dates("time_s")
+    assert found is not None
+    np.testing.assert_allclose(found, SINCE_1970, rtol=0.0, atol=5e-7)
+    recording = RecordingFile(path=path).load()
+    assert recording.rate == pytest.approx(100.0, rel=1e-4)
+    np.testing.assert_allclose(recording.t, SINCE_1970, rtol=0.0, atol=1e-6)
+    (held,) = contents(path, time="time_s")
+    assert held.clock.time_unit == "s"
+    assert held.clock.start == pytest.approx(SINCE_1970[0], abs=1e-6)
+
+
+def test_durations_as_time_are_seconds(tmp_path):
+    FRAME.assign(time_s=pd.to_timedelta(FRAME["time_s"], unit="s")).to_parquet(tmp_path / "drive.parquet")
+    np.testing.assert_allclose(RecordingFile(path=tmp_path / "drive.parquet").load().t, FRAME["time_s"], atol=1e-9)
+
+
+def test_what_is_no_date_among_dates_is_one_line(tmp_path):
+    texts = DATES.astype(str)
+    texts[7] = "noon"
+    FRAME.assign(time_s=texts).to_csv(tmp_path / "drive.csv", index=False)
+    with pytest.raises(InputError, match="row 9, column 'time_s': 'noon' is no date$"):
+        RecordingFile(path=tmp_path / "drive.csv").load()
 
 
 def test_vbo_time_runs_across_midnight(tmp_path):

@@ -55,7 +55,7 @@ class RecordingFile:
 
     `mapping` names the source of each channel, or a YAML file that does (None or empty: the native columns of
     `CHANNELS`); `dbc` is the database of raw CAN frames; `time` is the time column [time_unit], whose values stay the
-    recording's time (that of a VBO, a bag or a log starts at 0); `rate` [Hz] resamples (None: the file's own, of its
+    recording's time (dates become seconds since 1970; that of a VBO, a bag or a log starts at 0); `rate` [Hz] resamples (None: the file's own, of its
     fastest clock); `start_s` and `stop_s` cut; `also` are further files of the same drive in the same time base (path,
     mapping, dbc and time of theirs count), cut to the stretch that all of them cover. `drive`, `channels` and `v_min`
     [m/s] are defaults for `cutting.cut`.
@@ -247,7 +247,8 @@ def _clock_offsets(series: Iterable[Series]) -> list[str]:
 
 def _clock(table: Table, name: str, unit: str, notes: list[str]) -> Float[np.ndarray, " rows"]:
     """The file's times [s], strictly increasing, without a stray last row; InputError names the row that is wrong."""
-    t = table.numbers(name) * factor(unit, "s", f"{table.path}: column {name}")
+    dates = table.dates(name)
+    t = table.numbers(name) * factor(unit, "s", f"{table.path}: column {name}") if dates is None else dates
     if len(t) < 3:
         raise InputError(f"{table.path}: has {len(t)} data rows; a recording needs at least 3")
     absent = np.flatnonzero(np.isnan(t))

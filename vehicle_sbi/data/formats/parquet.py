@@ -38,14 +38,14 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _frame(path: Path, meta: pq.FileMetaData, read: Sequence[str], texts: Sequence[str]) -> pd.DataFrame:
-    """The columns that are read, some of them texts."""
+    """The columns that are read, some of them texts; what pandas called the index is one of them."""
     budget = Budget(path)
     for group in map(meta.row_group, range(meta.num_row_groups)):
         for column in map(group.column, range(group.num_columns)):
             if column.path_in_schema in read:
                 budget.take(NUMBER * column.num_values + column.total_uncompressed_size)
     with pq.ParquetFile(path, read_dictionary=list(texts)) as file:
-        return _written_out(file.read(columns=list(read)), budget).to_pandas()
+        return _written_out(file.read(columns=list(read)), budget).to_pandas(ignore_metadata=True)
 
 
 def _written_out(table: pa.Table, budget: Budget) -> pa.Table:

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from vehicle_sbi.data.formats.dates import seconds
 from vehicle_sbi.errors import InputError, unknown
 
 NO_UNITS: Mapping[str, str] = MappingProxyType({})
@@ -49,21 +50,35 @@ class Table:
 
     def numbers(self, name: str) -> Float[np.ndarray, " rows"]:
         """A column as floats, NaN where empty; trailing blanks and dots of names do not count."""
+        column = self._column(name)
+        if column.dtype.kind == "M":
+            raise InputError(f"{self.path}: column '{self.spelled(name)}' holds dates; it must hold numbers")
+        values = pd.to_numeric(column, errors="coerce")
+        self._check_all(name, column, values.notna().to_numpy(), "number")
+        numbers = values.to_numpy(dtype=float, na_value=np.nan)
+        return np.where(np.isfinite(numbers), numbers, np.nan)
+
+    def dates(self, name: str) -> Float[np.ndarray, " rows"] | None:
+        """A column of dates in seconds since the epoch [s], NaN where empty; None for a column of anything else."""
+        column = self._column(name)
+        found = seconds(column)
+        if found is not None:
+            self._check_all(name, column, np.isfinite(found), "date")
+        return found
+
+    def _column(self, name: str) -> pd.Series:
+        """A column as it stands in the file; InputError if there is none of this name."""
         found = self.spelled(name)
         if found is None:
             raise unknown("column", name, [str(column) for column in self.columns], str(self.path))
-        column = pd.Series(self.columns[found])
-        if column.dtype.kind == "M":
-            raise InputError(f"{self.path}: column '{found}' holds dates; it must hold numbers")
-        values = pd.to_numeric(column, errors="coerce")
-        wrong = np.flatnonzero(values.isna() & column.notna())
+        return pd.Series(self.columns[found])
+
+    def _check_all(self, name: str, column: pd.Series, good: Bool[np.ndarray, " rows"], kind: str) -> None:
+        """Raise InputError for the first row that is neither good nor empty."""
+        wrong = np.flatnonzero(~good & column.notna().to_numpy())
         if len(wrong):
-            row = wrong[0]
-            raise InputError(
-                f"{self.path}: row {row + self.first_row}, column '{found}': '{column.iloc[row]}' is no number"
-            )
-        numbers = values.to_numpy(dtype=float, na_value=np.nan)
-        return np.where(np.isfinite(numbers), numbers, np.nan)
+            where = f"{self.path}: row {wrong[0] + self.first_row}, column '{self.spelled(name)}'"
+            raise InputError(f"{where}: '{column.iloc[wrong[0]]}' is no {kind}")
 
 
 def plain(name: object) -> str:

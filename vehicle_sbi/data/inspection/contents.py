@@ -127,13 +127,14 @@ def _unit(table: Table, column: str) -> tuple[str | None, str]:
 def _clock(table: Table, asked: str | None) -> Clock:
     """The clock of a table, its unit from the name or from the usual step."""
     time = asked or _time_column(table)
-    values = table.numbers(time)
+    dates = table.dates(time)
+    values = table.numbers(time) if dates is None else dates
     values = values[np.isfinite(values)]
     if len(values) < 3:
         raise InputError(f"{table.path}: column '{time}' holds {len(values)} times; a recording needs at least 3")
     steps = np.diff(values)
     usual = float(np.median(steps))
-    said = called(table.unit(time)) or split(time, is_time=True)[1]
+    said = "s" if dates is not None else called(table.unit(time)) or split(time, is_time=True)[1]
     unit = said if said and si(said)[0] == "s" else next((u for u, least in FASTEST if usual > least), "s")
     t, steps = values * si(unit)[1], steps * si(unit)[1]
     step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
