@@ -26,6 +26,9 @@ from scipy.io import savemat
 
 from vehicle_sbi.data.formats.limits import ALWAYS, MOST_FRAMES, RATIO, Budget, Zlib
 from vehicle_sbi.data.formats.registry import read_tables
+from vehicle_sbi.data.inspection.inspection import inspect
+from vehicle_sbi.data.inspection.spoken import spoken
+from vehicle_sbi.data.readers import RecordingFile, read
 from vehicle_sbi.errors import InputError
 
 ROOT = Path(__file__).parent.parent
@@ -43,7 +46,9 @@ try: read_tables(Path(small))
 except InputError: pass
 before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
 try:
-    read_tables(Path(sys.argv[1]), sys.argv[3] or None)
+    for table in read_tables(Path(sys.argv[1]), sys.argv[3] or None):
+        for name in table.columns:
+            table.columns[name]
     said = "read"
 except InputError as error:
     said = str(error)
@@ -193,6 +198,34 @@ def test_columns_of_parquet_that_hold_no_channel_are_not_read(tmp_path: Path) ->
     (table,) = read_tables(tmp_path / "a.parquet")
     assert {*table.columns} == {*read}
     assert table.notes[0].endswith("not read: list, record, long text, bytes, variable")
+
+
+def wide(folder: Path) -> Path:
+    """A log of half an hour at 100 Hz whose live columns share the file with 300 that are constant."""
+    t = np.arange(180_000) / 100.0
+    live = {"time_s": t, "v_x_mps": 15.0 + np.sin(t), "yaw_rate_radps": 0.2 * np.cos(t)}
+    pq.write_table(pa.table(live | {f"flag_{i}": np.zeros(len(t)) for i in range(300)}), folder / "a.parquet")
+    return folder / "a.parquet"
+
+
+def test_a_wide_file_of_parquet_is_read_for_what_is_asked_of_it(tmp_path: Path) -> None:
+    path = wide(tmp_path)
+    assert 300 * 180_000 * 8 > Budget(path).left
+    recording = read(path)
+    assert {*recording.channels} == {"v_x", "yaw_rate"}
+    np.testing.assert_allclose(recording.channels["v_x"], 15.0 + np.sin(recording.t), atol=1e-9)
+    found = inspect(RecordingFile(path=path))
+    assert {*found.channels} == {"v_x", "yaw_rate"}
+    assert found.tables[0].beyond[-1] == "flag_299"
+    assert "not read, too large together: flag_" in spoken(found)
+
+
+def test_a_column_of_parquet_counts_once_and_all_of_them_together(tmp_path: Path) -> None:
+    (table,) = read_tables(wide(tmp_path))
+    for _ in range(200):
+        table.numbers("v_x_mps")
+    with pytest.raises(InputError, match="which no recording does: it is not read"):
+        [table.numbers(name) for name in table.columns]
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,10 @@ BLOCK = 2**20  # [bytes] that are unpacked at once
 MOST_FRAMES = 1000  # packed pieces one after another in one place; writers make one
 
 
+class TooLargeError(InputError):
+    """More than a file may unpack to."""
+
+
 class Unpacker(Protocol):
     """What the decompressors of the modules bz2, lz4 and zstd share."""
 
@@ -43,13 +47,13 @@ class Budget:
         self.most = self.left
 
     def take(self, size: int) -> None:
-        """Use up `size` bytes; InputError if fewer are left."""
-        self.left -= size
-        if self.left < 0:
-            raise InputError(
+        """Use up `size` bytes; TooLargeError, and none used up, if fewer are left."""
+        if size > self.left:
+            raise TooLargeError(
                 f"{self.path}: unpacks to more than {self.most / 1e6:.0f} MB from {self.size / 1e6:.3g} MB, "
                 "which no recording does: it is not read"
             )
+        self.left -= size
 
     def count(self, data: bytes, unpacker: Callable[[], Unpacker]) -> None:
         """Use up what `data` unpacks to, of which nothing is kept; damaged data raises as the unpacker does."""

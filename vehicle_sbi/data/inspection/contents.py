@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from vehicle_sbi.data.formats.limits import TooLargeError
 from vehicle_sbi.data.formats.registry import read_tables
 from vehicle_sbi.data.formats.table import Table
 from vehicle_sbi.data.inspection.units import called, si, split
@@ -71,11 +72,15 @@ class Clock:
 
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """What a table holds: its clock, its columns of numbers, and the names of those that hold none."""
+    """What a table holds: its clock, its columns of numbers, and the names of those that hold none.
+
+    `beyond` names columns that were not read, as together they unpack to more than a file may.
+    """
 
     clock: Clock
     columns: tuple[Column, ...]
     other: tuple[str, ...]
+    beyond: tuple[str, ...] = ()
 
 
 def _prefixes(clock: str) -> tuple[str, ...]:
@@ -90,19 +95,25 @@ def contents(path: Path, *, time: str | None = None, dbc: str | None = None) -> 
 
 def _contents(table: Table, time: str | None) -> Contents:
     clock = _clock(table, time)
-    columns, other = [], []
+    columns, other, beyond = [], [], []
     for column in map(str, table.columns):
         if column == clock.time:
             continue
-        found = _column(table, column)
+        try:
+            found = _column(table, column)
+        except TooLargeError:
+            beyond.append(column)
+            continue
         other.append(column) if found is None else columns.append(found)
-    return Contents(clock=clock, columns=tuple(columns), other=tuple(other))
+    return Contents(clock=clock, columns=tuple(columns), other=tuple(other), beyond=tuple(beyond))
 
 
 def _column(table: Table, column: str) -> Column | None:
-    """A column of numbers, None where it holds none."""
+    """A column of numbers, None where it holds none; TooLargeError where it is not read."""
     try:
         values = table.numbers(column)
+    except TooLargeError:
+        raise
     except InputError:
         return None
     known = values[np.isfinite(values)]

@@ -68,6 +68,7 @@ def _columns(table: Contents, users: dict[str, str]) -> Iterator[str]:
         ("not shown", [column.field for column in varying if column not in shown]),
         ("constant", constant),
         ("without numbers", table.other),
+        ("not read, too large together", table.beyond),
     ):
         if names:
             more = f" and {len(names) - 8} more" if len(names) > 8 else ""
