@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.cutting import cut
+from vehicle_sbi.data.inspection.contents import contents
 from vehicle_sbi.data.mapping import ChannelSource, built, mapping_file
 from vehicle_sbi.data.readers import RecordingFile, flag_spikes, read
 from vehicle_sbi.data.units import UNITS, factor
@@ -117,6 +118,26 @@ def test_time_units_and_cuts(tmp_path):
     rec = RecordingFile(path=path, time_unit="ms", start_s=1.0, stop_s=2.0).load()
     assert rec.rate == pytest.approx(100.0)
     assert (rec.t[0], rec.t[-1], len(rec.t)) == pytest.approx((1.0, 2.0, 101))
+
+
+@pytest.mark.parametrize(("unit", "a_second"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_times_that_are_no_seconds_are_refused_until_their_unit_is_stated(tmp_path, unit, a_second):
+    times = (np.arange(N) * 0.01 * a_second).round().astype(int)
+    path = saved(tmp_path, frame().assign(time_s=times))
+    refused(path, f"column 'time_s' states no unit, .* too long for seconds: recording.time_unit={unit} says")
+    assert RecordingFile(path=path, time_unit=unit).load().rate == pytest.approx(100.0)
+    stated = saved(tmp_path, frame().assign(time_s=times).rename(columns={"time_s": f"Time [{unit}]"}), "stated.csv")
+    assert read(stated).rate == pytest.approx(100.0)
+    (clock,) = (
+        one.clock for one in contents(saved(tmp_path, frame().assign(time_s=times).rename(columns={"time_s": "t"})))
+    )
+    assert clock.time_unit == unit
+
+
+def test_a_slow_clock_is_read_if_seconds_are_stated(tmp_path):
+    path = saved(tmp_path, frame().assign(time_s=10.0 * np.arange(N)))
+    refused(path, "recording.time_unit=s that it is right")
+    assert RecordingFile(path=path, time_unit="s").load().rate == pytest.approx(0.1)
 
 
 def test_short_gaps_are_filled_and_long_ones_masked_and_both_noted(tmp_path):

@@ -20,6 +20,7 @@ from vehicle_sbi.data.formats.table import Table
 from vehicle_sbi.data.mapping import Candidates, ChannelSource, built, mapping_file, native, sources
 from vehicle_sbi.data.plausibility import LIMITS, absurd, findings, spoken_runs
 from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.data.time_units import guessed
 from vehicle_sbi.data.units import factor
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.files import sha256
@@ -54,7 +55,8 @@ class RecordingFile:
     """A recording on disk, what its columns mean, and how it is used unless the user says otherwise.
 
     `mapping` names the source of each channel, or a YAML file that does (None or empty: the native columns of
-    `CHANNELS`); `dbc` is the database of raw CAN frames; `time` is the time column [time_unit], whose values stay the
+    `CHANNELS`); `dbc` is the database of raw CAN frames; `time` is the time column [time_unit; None: as the
+    file states it, else s], whose values stay the
     recording's time (dates become seconds since 1970; that of a VBO, a bag or a log starts at 0); `rate` [Hz] resamples (None: the file's own, of its
     fastest clock); `start_s` and `stop_s` cut; `also` are further files of the same drive in the same time base (path,
     mapping, dbc and time of theirs count), cut to the stretch that all of them cover. `drive`, `channels` and `v_min`
@@ -131,7 +133,8 @@ class RecordingFile:
             if table.clock in clocks:
                 continue
             column = self.time if self.time and (len(tables) == 1 or table.has(self.time)) else table.time
-            unit = (self.time_unit if column == self.time or len(tables) == 1 else None) or table.unit(column) or "s"
+            own = self.time_unit if column == self.time or len(tables) == 1 else None
+            unit = own or table.unit(column) or self.time_unit
             notes += [note for note in table.notes if note not in notes]
             clocks[table.clock] = _clock(table, column, unit, notes)
         return clocks
@@ -245,10 +248,9 @@ def _clock_offsets(series: Iterable[Series]) -> list[str]:
     ]
 
 
-def _clock(table: Table, name: str, unit: str, notes: list[str]) -> Float[np.ndarray, " rows"]:
+def _clock(table: Table, name: str, unit: str | None, notes: list[str]) -> Float[np.ndarray, " rows"]:
     """The file's times [s], strictly increasing, without a stray last row; InputError names the row that is wrong."""
-    dates = table.dates(name)
-    t = table.numbers(name) * factor(unit, "s", f"{table.path}: column {name}") if dates is None else dates
+    t = _times(table, name, unit)
     if len(t) < 3:
         raise InputError(f"{table.path}: has {len(t)} data rows; a recording needs at least 3")
     absent = np.flatnonzero(np.isnan(t))
@@ -264,6 +266,21 @@ def _clock(table: Table, name: str, unit: str, notes: list[str]) -> Float[np.nda
         notes.append(f"{table.path.name}: the last row, {steps[-1]:.2f} s after the one before, dropped")
         t = t[:-1]
     return t
+
+
+def _times(table: Table, name: str, unit: str | None) -> Float[np.ndarray, " rows"]:
+    """A column of times [s]; InputError if nobody states its unit and its usual step is none of seconds."""
+    dates = table.dates(name)
+    if dates is not None:
+        return dates
+    t = table.numbers(name)
+    step = float(np.median(np.diff(t[np.isfinite(t)]))) if np.isfinite(t).sum() > 1 else 0.0
+    if unit is None and guessed(step) != "s":
+        raise InputError(
+            f"{table.path}: column '{name}' states no unit, and its usual step of {step:.6g} is too long for seconds: "
+            f"recording.time_unit={guessed(step)} says what it looks like, recording.time_unit=s that it is right"
+        )
+    return t * factor(unit or "s", "s", f"{table.path}: column {name}")
 
 
 def _check_absent(

@@ -11,10 +11,10 @@ from vehicle_sbi.data.formats.limits import TooLargeError
 from vehicle_sbi.data.formats.registry import read_tables
 from vehicle_sbi.data.formats.table import Table
 from vehicle_sbi.data.inspection.units import called, si, split
+from vehicle_sbi.data.time_units import guessed
 from vehicle_sbi.errors import InputError
 
 TIMES = r"(time|time_?stamp|t|elapsed.*|utc.*|header_stamp|.*_time|time_.*)"
-FASTEST = (("ns", 9e5), ("us", 900.0), ("ms", 2.0))  # usual step from which times are in a unit: 0.9 ms to 2 s
 GAP = 0.1, 2.5  # [s] and usual steps that a gap lasts at least, as the reading of recordings has it
 
 
@@ -146,7 +146,7 @@ def _clock(table: Table, asked: str | None) -> Clock:
     steps = np.diff(values)
     usual = float(np.median(steps))
     said = "s" if dates is not None else called(table.unit(time)) or split(time, is_time=True)[1]
-    unit = said if said and si(said)[0] == "s" else next((u for u, least in FASTEST if usual > least), "s")
+    unit = said if said and si(said)[0] == "s" else guessed(usual)
     t, steps = values * si(unit)[1], steps * si(unit)[1]
     step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
     long = np.flatnonzero(steps > max(GAP[0], GAP[1] * step))
