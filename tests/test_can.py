@@ -133,6 +133,20 @@ def test_a_bus_with_a_copy_of_the_messages_is_left_out(tmp_path):
     assert table.notes
 
 
+def test_frames_with_equal_times_are_counted_as_rows_of_any_file_are(tmp_path):
+    """The first of them is kept, so the drive comes back although the others say something else."""
+    path = tmp_path / "drive.blf"
+    with can.BLFWriter(path) as writer:
+        for k, message in enumerate(frames(database(tmp_path))):
+            writer(message)
+            if k % 100 == 0:
+                zeros = bytes(len(message.data))
+                writer(can.Message(timestamp=message.timestamp, arbitration_id=512, data=zeros, is_extended_id=False))
+    rec = RecordingFile(path=path, mapping=MAPPING, dbc=str(tmp_path / "car.dbc")).load()
+    assert_is_the_drive(rec, STEPS, rounding=ROUNDING + 6.0 * 1.5 * 1e-5)
+    assert [note for note in rec.notes if note.startswith("Motion: ") and "repeat the time of the row above" in note]
+
+
 def test_what_is_missing_is_said(tmp_path):
     path, dbc = log(tmp_path, ".blf"), str(tmp_path / "car.dbc")
     refused(path, "holds raw CAN frames: recording.dbc=FILE.dbc", mapping=MAPPING)

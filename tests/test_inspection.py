@@ -203,9 +203,9 @@ def test_a_given_mapping_is_checked_instead_of_a_guess(tmp_path: Path) -> None:
 
 def test_a_drive_that_cannot_be_read_says_why(tmp_path: Path) -> None:
     t = np.arange(100) / 10.0
-    t[50] = t[49]
+    t[50] = t[48]
     found = inspect(csv(tmp_path / "a.csv", {"time_s": t, "v_x": t}))
-    assert "repeats the time of the row above" in str(found.unread)
+    assert "lies before the row above" in str(found.unread)
     assert "1 times the clock does not go on" in spoken(found)
 
 

@@ -170,6 +170,20 @@ def test_a_stray_last_row_is_dropped(tmp_path):
     assert "drive.csv: the last row, 5.02 s after the one before, dropped" in rec.notes
 
 
+def test_of_rows_with_equal_times_the_first_is_kept_and_the_others_are_counted(tmp_path):
+    data = frame()
+    again = pd.concat([data[:100], data[99:100].assign(v_x_mps=0.0), data[100:200], data[199:200], data[199:]])
+    rec = read(saved(tmp_path, again))
+    whole = read(saved(tmp_path, data, "whole.csv"))
+    for name, values in whole.channels.items():
+        np.testing.assert_array_equal(rec.channels[name], values)
+        assert rec.valid[name].all()
+    said = "drive.csv: 3 of 403 rows repeat the time of the row above: of equal times the first is kept"
+    assert rec.notes == (said,)
+    jumped = again.assign(time_s=again.time_s + 1e6 * (np.arange(len(again)) > 150))
+    refused(saved(tmp_path, jumped), "time jumps by 1e.06 s at row 153")
+
+
 @pytest.mark.parametrize(("jump", "row"), [(86_400.0, 30), (1.7e9, 30), (1.7e9, 1)])
 def test_a_clock_that_jumps_costs_no_memory_and_names_the_row(tmp_path, jump, row):
     data = frame()
@@ -299,7 +313,8 @@ BAD_FILES = {
     "header only": (HEAD, "has 0 data rows"),
     "no time": ("clock,v_x_mps\n0,1\n1,1\n2,1", "unknown column 'time_s'; known: "),
     "no native column": ("time_s,speed\n0,1\n1,1\n2,1", "no native column and no mapping"),
-    "repeated time": (HEAD + "0,1\n1,1\n1,1\n2,1", "row 4, column 'time_s': 1 s repeats the time of the row above"),
+    "two times": (HEAD + "0,1\n1,1\n1,1\n1,1", "has 4 data rows at 2 times; a recording needs at least 3"),
+    "time goes back after it stood": (HEAD + "0,1\n1,1\n1,1\n0.5,1\n2,1", "row 5, column 'time_s': 0.5 s lies before"),
     "time goes back": (HEAD + "0,1\n1,1\n0.5,1\n2,1", "row 4, column 'time_s': 0.5 s lies before the row above"),
     "time absent": (HEAD + "0,1\n1,1\n,1\n2,1", "row 4, column 'time_s': no time"),
     "mostly absent": (HEAD + "0,1\n1,\n2,\n3,\n4,1", "row 3, column 'v_x_mps': v_x holds no number here and in 60%"),

@@ -256,6 +256,32 @@ def test_damaged_bytes_never_get_more_than_a_line(tmp_path, kind):
     damaged(file, mapping=AUTOWARE)
 
 
+TWIST = "geometry_msgs/msg/TwistStamped"
+
+
+def twist(types, place: int, stamp: int | None = None):
+    """A message with speed `place` [m/s], stamped `place` times 10 ms after START unless said otherwise [ns]."""
+    kinds = types.types
+    now = START + 10_000_000 * place if stamp is None else stamp
+    header = kinds["std_msgs/msg/Header"](
+        stamp=kinds["builtin_interfaces/msg/Time"](sec=now // 10**9, nanosec=now % 10**9), frame_id="car"
+    )
+    speed, zero = (kinds["geometry_msgs/msg/Vector3"](x=x, y=0.0, z=0.0) for x in (float(place), 0.0))
+    return kinds[TWIST](header=header, twist=kinds["geometry_msgs/msg/Twist"](linear=speed, angular=zero))
+
+
+def test_messages_are_sorted_and_those_with_equal_times_counted_as_rows_of_any_file_are(tmp_path):
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer2(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/v", "geometry_msgs/msg/TwistStamped", typestore=types)
+        for k, place in enumerate([*range(50), 49, *range(50, 80), 81, 80, *range(82, 100)]):
+            writer.write(connection, START + 10_000_000 * k, types.serialize_cdr(twist(types, place), TWIST))
+    rec = RecordingFile(path=tmp_path / "bag", mapping={"v_x": {"column": "/v.twist.linear.x"}}).load()
+    assert "/v: messages put in the order of their time" in rec.notes
+    assert "/v: 1 of 101 rows repeat the time of the row above: of equal times the first is kept" in rec.notes
+    np.testing.assert_allclose(rec.channels["v_x"], np.arange(100.0))
+
+
 @pytest.mark.parametrize("jump", [86_400, 1_700_000_000])
 def test_a_clock_that_jumps_is_refused_and_can_be_cut(tmp_path, jump):
     """The bag's clock is set, from an epoch near zero, in the middle of the drive; messages have no stamps."""

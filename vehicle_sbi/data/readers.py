@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import maximum_filter
 
 from vehicle_sbi.data.channels import CHANNELS
@@ -39,7 +39,7 @@ MOST_ABSENT = 0.5
 class Series:
     """One channel as its file has it: times [s], values in SI (NaN where absent), its sensor group, and its clock.
 
-    `first_row` is the file's number of the first sample's row.
+    `rows` are the file's numbers of the samples' rows.
     """
 
     t: Float[np.ndarray, " rows"]
@@ -47,7 +47,15 @@ class Series:
     group: str
     path: Path
     clock: str
-    first_row: int
+    rows: Int[np.ndarray, " rows"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """The times [s] of a table, strictly increasing, and the indices of the rows that they are of."""
+
+    t: Float[np.ndarray, " rows"]
+    kept: Int[np.ndarray, " rows"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,10 +130,8 @@ class RecordingFile:
             name: _series(name, source, table, clocks[table.clock], notes) for name, (table, source) in chosen.items()
         }
 
-    def _clocks(
-        self, tables: Sequence[Table], used: Sequence[Table], notes: list[str]
-    ) -> dict[str, Float[np.ndarray, " rows"]]:
-        """The times [s] of each table that is used, by the name of its clock."""
+    def _clocks(self, tables: Sequence[Table], used: Sequence[Table], notes: list[str]) -> dict[str, Clock]:
+        """The times of each table that is used, by the name of its clock."""
         if self.time is not None and len(tables) > 1 and not any(table.has(self.time) for table in tables):
             raise unknown("column", self.time, [name for table in used for name in table.columns], str(self.path))
         clocks = {}
@@ -164,10 +170,11 @@ class RecordingFile:
             longest = f"{1e3 * steps.max():.3g} ms" if steps.max() < 1.0 else f"{steps.max():.3g} s"
             spread = f"{1e3 * steps.min():.3g} ms to {longest}"
             notes.append(f"resampled linearly to {rate:g} Hz from steps of {spread}, median {1e3 * step:.3g} ms")
-        self._check_grid(inside, stop, rate, listed[0].first_row + int(np.searchsorted(clocks[0], inside[0])))
+        rows = next(one.rows for one in listed if one.t is fastest)
+        self._check_grid(inside, stop, rate, rows[np.searchsorted(fastest, inside[0]) :])
         return inside[0] + np.arange(int((stop - inside[0]) * rate + 1e-3) + 1) / rate, rate
 
-    def _check_grid(self, t: Float[np.ndarray, " rows"], stop: float, rate: float, first_row: int) -> None:
+    def _check_grid(self, t: Float[np.ndarray, " rows"], stop: float, rate: float, rows: np.ndarray) -> None:
         """Raise InputError for a grid that would hold many times the samples that there are, and why it would."""
         wanted, most = (stop - t[0]) * rate, max(SMALL_GRID, LARGEST_GRID * len(t))
         if wanted <= most:
@@ -177,7 +184,7 @@ class RecordingFile:
         if (stop - t[0] - steps[k]) * rate > most:
             raise InputError(f"{self.path}: {size}, the rate of its usual step: state a lower one, recording.rate")
         raise InputError(
-            f"{self.path}: time jumps by {steps[k]:.6g} s at row {first_row + k + 1}, and {size}: split the file "
+            f"{self.path}: time jumps by {steps[k]:.6g} s at row {rows[k] + 1}, and {size}: split the file "
             "there, or cut it with recording.start_s or recording.stop_s"
         )
 
@@ -209,10 +216,11 @@ def flag_spikes(values: Float[np.ndarray, " rows"]) -> Bool[np.ndarray, " rows"]
     return flags
 
 
-def _series(name: str, source: ChannelSource, table: Table, t: Float[np.ndarray, " rows"], notes: list[str]) -> Series:
+def _series(name: str, source: ChannelSource, table: Table, times: Clock, notes: list[str]) -> Series:
     """A channel in SI on its table's clock, without what cannot be: NaN in its place, and a note."""
-    values = source.read(name, table)[: len(t)]
-    _check_absent(table, name, source.columns, values, t, notes)
+    t, rows = times.t, times.kept + table.first_row
+    values = source.read(name, table)[times.kept]
+    _check_absent(table, name, source.columns, values, t, rows, notes)
     values = source.to_si(name, values, str(table.path))
     spikes = flag_spikes(values) if name != "brake" else np.zeros(len(t), dtype=bool)
     if spikes.any():
@@ -232,7 +240,7 @@ def _series(name: str, source: ChannelSource, table: Table, t: Float[np.ndarray,
         group=group,
         path=table.path,
         clock=clock,
-        first_row=table.first_row,
+        rows=rows,
     )
 
 
@@ -248,24 +256,34 @@ def _clock_offsets(series: Iterable[Series]) -> list[str]:
     ]
 
 
-def _clock(table: Table, name: str, unit: str | None, notes: list[str]) -> Float[np.ndarray, " rows"]:
-    """The file's times [s], strictly increasing, without a stray last row; InputError names the row that is wrong."""
+def _clock(table: Table, name: str, unit: str | None, notes: list[str]) -> Clock:
+    """The file's times, without a stray last row and rows that repeat a time; InputError names the row that is wrong.
+
+    Of rows with equal times the first is kept, whatever the format.
+    """
     t = _times(table, name, unit)
-    if len(t) < 3:
-        raise InputError(f"{table.path}: has {len(t)} data rows; a recording needs at least 3")
     absent = np.flatnonzero(np.isnan(t))
     if len(absent):
         raise InputError(f"{table.path}: row {absent[0] + table.first_row}, column '{name}': no time")
+    kept = np.flatnonzero(np.diff(t, prepend=-np.inf) != 0.0)
+    if len(kept) < 3:
+        times = f" at {len(kept)} times" if len(kept) < len(t) else ""
+        raise InputError(f"{table.path}: has {len(t)} data rows{times}; a recording needs at least 3")
+    if len(kept) < len(t):
+        said = (
+            f"{len(t) - len(kept)} of {len(t)} rows repeat the time of the row above: of equal times the first is kept"
+        )
+        notes.append(f"{table.clock or table.path.name}: {said}")
+    t = t[kept]
     steps = np.diff(t)
-    back = np.flatnonzero(steps <= 0.0)
+    back = np.flatnonzero(steps < 0.0)
     if len(back):
-        what = "repeats the time of" if steps[back[0]] == 0.0 else "lies before"
-        row = back[0] + 1 + table.first_row
-        raise InputError(f"{table.path}: row {row}, column '{name}': {t[back[0] + 1]:.12g} s {what} the row above")
+        row = kept[back[0] + 1] + table.first_row
+        raise InputError(f"{table.path}: row {row}, column '{name}': {t[back[0] + 1]:.12g} s lies before the row above")
     if steps[-1] > max(1.0, 20.0 * float(np.median(steps))):
         notes.append(f"{table.path.name}: the last row, {steps[-1]:.2f} s after the one before, dropped")
-        t = t[:-1]
-    return t
+        return Clock(t=t[:-1], kept=kept[:-1])
+    return Clock(t=t, kept=kept)
 
 
 def _times(table: Table, name: str, unit: str | None) -> Float[np.ndarray, " rows"]:
@@ -284,12 +302,13 @@ def _times(table: Table, name: str, unit: str | None) -> Float[np.ndarray, " row
 
 
 def _check_absent(
-    table: Table, name: str, columns: Sequence[str], values: Float[np.ndarray, " rows"], t: np.ndarray, notes: list[str]
-) -> None:
+    table: Table, name: str, columns: Sequence[str], values: Float[np.ndarray, " rows"], t: np.ndarray,
+    rows: np.ndarray, notes: list[str],
+) -> None:  # fmt: skip
     absent = np.isnan(values)
     if absent.mean() > MOST_ABSENT:
         raise InputError(
-            f"{table.path}: row {np.argmax(absent) + table.first_row}, column '{' + '.join(columns)}': {name} holds no "
+            f"{table.path}: row {rows[np.argmax(absent)]}, column '{' + '.join(columns)}': {name} holds no "
             f"number here and in {absent.mean():.0%} of the rows; at most {MOST_ABSENT:.0%} may be empty"
         )
     if absent.any():

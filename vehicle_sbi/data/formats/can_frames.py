@@ -84,7 +84,6 @@ def _message(path: Path, message: Message, frames: Frames) -> Iterator[Table]:
         groups.setdefault((signal.multiplexer_signal, tuple(signal.multiplexer_ids or ())), []).append(signal)
     for (multiplexer, values), signals in groups.items():
         chosen = frames.where(_selected(message, signals[0], frames))
-        chosen = chosen.where(np.diff(chosen.t, prepend=-np.inf) > 0.0)
         if not len(chosen.t):
             continue
         clock = message.name if multiplexer is None else f"{message.name}[{multiplexer}={'|'.join(map(str, values))}]"

@@ -164,10 +164,8 @@ def _table(
     if not kept:
         return None
     order = np.argsort(t, kind="stable")
-    order = order[np.concatenate([[True], np.diff(t[order]) > 0.0])]
-    if len(order) < len(t) or np.any(np.diff(order) < 0):
-        repeated = len(t) - len(order)
-        notes = (*notes, f"{name}: messages put in the order of their time, {repeated} of a repeated time left out")
+    if np.any(np.diff(order) < 0):
+        notes = (*notes, f"{name}: messages put in the order of their time")
     if topic.too_large:
         notes = (*notes, f"{name}: {topic.too_large} messages above {LARGEST_MESSAGE} bytes left out")
     return Table(
