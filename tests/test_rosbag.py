@@ -282,6 +282,26 @@ def test_messages_are_sorted_and_those_with_equal_times_counted_as_rows_of_any_f
     np.testing.assert_allclose(rec.channels["v_x"], np.arange(100.0))
 
 
+@pytest.mark.parametrize(("unset", "kept"), [(1, 99), (40, 60), (60, 100)])
+def test_most_stamps_decide_and_messages_of_the_others_are_left_out(tmp_path, unset, kept):
+    """A stamp that is not set is 0; where most are, reception counts for all messages of the topic."""
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer2(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/v", TWIST, typestore=types)
+        for k in range(100):
+            message = twist(types, k, stamp=0 if k < unset else None)
+            writer.write(connection, START + 10_000_000 * k + LATE, types.serialize_cdr(message, TWIST))
+    (table,) = read_tables(tmp_path / "bag")
+    assert len(table.numbers("t")) == kept
+    np.testing.assert_allclose(np.diff(table.numbers("t")), 0.01, atol=1e-9)
+    said = "\n".join(table.notes)
+    if kept == 100:
+        assert "its time is the bag's reception, as header.stamp lies 1.7e+09 s from it in the median" in said
+    else:
+        assert "its time is header.stamp; the bag received it 0.004 s later (0.004 to 0.004 s)" in said
+        assert f"/v: {unset} of 100 messages left out: their header.stamp lies more than 10 s from" in said
+
+
 @pytest.mark.parametrize("jump", [86_400, 1_700_000_000])
 def test_a_clock_that_jumps_is_refused_and_can_be_cut(tmp_path, jump):
     """The bag's clock is set, from an epoch near zero, in the middle of the drive; messages have no stamps."""

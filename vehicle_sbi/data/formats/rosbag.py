@@ -1,7 +1,7 @@
 """ROS bags, through `rosbags`: rosbag2 (sqlite3 or MCAP, a file or its folder) and ROS 1. A table a topic.
 
 Columns are called `/topic.field`, nested fields `/topic.twist.linear.x`, elements of short arrays `/topic.field.0`.
-Time [s] runs from the first message of the bag. It is the message's own stamp where it has one that belongs to the
+Time [s] runs from the first message of the bag. It is the message's own stamp where most of the topic's belong to the
 bag's time, else the time at which the bag received the message; the difference of the two is noted.
 """
 
@@ -155,7 +155,7 @@ def _table(
     except UnreadableMessageError as error:
         left_out.append(f"{name} ({one_line(error)})")
         return None
-    t, notes = _clock(name, columns, np.array(topic.received, dtype=np.int64), start)
+    t, notes, timed = _clock(name, columns, np.array(topic.received, dtype=np.int64), start)
     kept = {
         f"{name}.{key}": values
         for key, values in columns.items()
@@ -164,6 +164,7 @@ def _table(
     if not kept:
         return None
     order = np.argsort(t, kind="stable")
+    order = order[timed[order]]
     if np.any(np.diff(order) < 0):
         notes = (*notes, f"{name}: messages put in the order of their time")
     if topic.too_large:
@@ -180,21 +181,28 @@ def _table(
 
 def _clock(
     name: str, columns: Mapping[str, np.ndarray], received: np.ndarray, start: int
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Times [s] since the start [ns] of the bag, and a note of which clock they are."""
+) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
+    """Times [s] since the start [ns] of the bag, notes of which clock they are, and which messages have a time.
+
+    Most messages decide whether stamps are of the bag's clock; the few whose stamp is not set have no time then.
+    """
     stamp = next((one for one in STAMPS if f"{one}.sec" in columns and f"{one}.nanosec" in columns), None)
+    by_reception, every = (received - start) / 1e9, np.ones(len(received), dtype=bool)
     if stamp is None:
-        return (received - start) / 1e9, (f"{name}: its time is the bag's reception; its messages have no stamp",)
+        return by_reception, (f"{name}: its time is the bag's reception; its messages have no stamp",), every
     stamped = columns[f"{stamp}.sec"] * 1_000_000_000 + columns[f"{stamp}.nanosec"]
     late = (received - stamped) / 1e9
-    middle = float(np.median(late))
-    if np.max(np.abs(late)) > LONGEST_DELAY_S:
-        why = f"{name}: its time is the bag's reception, as {stamp} lies {middle:.3g} s before it in the median"
-        return (received - start) / 1e9, (why,)
-    spread = f"{late.min():.2g} to {late.max():.2g} s"
-    return (stamped - start) / 1e9, (
-        f"{name}: its time is {stamp}; the bag received it {middle:.2g} s later ({spread})",
-    )
+    near = np.abs(late) <= LONGEST_DELAY_S
+    usual = float(np.median(np.abs(late)))
+    if usual > LONGEST_DELAY_S:
+        why = f"{name}: its time is the bag's reception, as {stamp} lies {usual:.3g} s from it in the median"
+        return by_reception, (why,), every
+    spread = f"{late[near].min():.2g} to {late[near].max():.2g} s"
+    notes = [f"{name}: its time is {stamp}; the bag received it {np.median(late[near]):.2g} s later ({spread})"]
+    if not near.all():
+        off = f"{(~near).sum()} of {len(near)} messages left out"
+        notes.append(f"{name}: {off}: their {stamp} lies more than {LONGEST_DELAY_S:g} s from their reception")
+    return (stamped - start) / 1e9, tuple(notes), near
 
 
 def _units(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
