@@ -34,6 +34,7 @@ TIMES = {"s": 1.0, "sec": 1.0, "second": 1.0, "ms": 1e-3, "min": 60.0, "minute":
 ANGLES = {
     "rad": 1.0, "radian": 1.0, "radians": 1.0, "mrad": 1e-3,
     "deg": math.pi / 180.0, "degree": math.pi / 180.0, "degrees": math.pi / 180.0, "degs": math.pi / 180.0,
+    "grad": math.pi / 180.0,  # German for degree; nobody steers in gon
     "rev": TURN, "turn": TURN,
 }  # fmt: skip
 LENGTHS = {
