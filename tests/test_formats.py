@@ -255,6 +255,14 @@ def test_units_may_stand_in_brackets_and_decimals_be_commas(tmp_path):
     assert table.numbers("v (km/h)").tolist() == [1.5, 2.5]
 
 
+@pytest.mark.parametrize("other", ["01.05.2024", "Start v1.2", "12:00:00.5", ""])
+def test_a_date_or_a_remark_has_no_decimal_mark(tmp_path, other):
+    rows = "".join(f"{other};0,{k:02d};{50 + k},125\n" for k in range(8))
+    table = only(text("Remark;Zeit [s];v [km/h]\n" + rows)(tmp_path))
+    np.testing.assert_allclose(table.numbers("Zeit [s]"), np.arange(8) / 100.0)
+    np.testing.assert_allclose(table.numbers("v [km/h]"), 50.125 + np.arange(8))
+
+
 def test_a_logger_may_have_a_decimal_comma_in_every_field(tmp_path):
     """More commas than semicolons in a row of numbers, and a first row of whole ones."""
     table = only(text("Zeit;Lenkradwinkel;Gierrate\ns;°;°/s\n0;0;-1\n0,02;1,5;-2,25\n0,04;3,0;-0,5\n")(tmp_path))

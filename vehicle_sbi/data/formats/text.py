@@ -59,15 +59,20 @@ def read(path: Path) -> tuple[Table, ...]:
 
 
 def _numbers(path: Path, rows: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
-    """The rows as columns; a comma is the decimal mark where others separate and the first rows have no point."""
-    first = "".join(rows[:FIRST_ROWS])
-    decimal = "," if separator != "," and "," in first and "." not in first else "."
+    """The rows as columns."""
+    decimal = "," if separator != "," and _has_decimal_commas(rows[:FIRST_ROWS], separator) else "."
     text, columns = StringIO("\n".join(rows)), list(names)
     with foreign(path, "CSV"):
         return pd.read_csv(
             text, sep=separator, names=columns, header=None, index_col=False,
             skip_blank_lines=False, skipinitialspace=True, decimal=decimal,
         )  # fmt: skip
+
+
+def _has_decimal_commas(rows: Sequence[str], separator: str) -> bool:
+    """Whether numbers have commas and none has a point; dates, remarks and versions are no numbers."""
+    numbers = [field for row in rows for field in _fields(row, separator) if _is_number(field)]
+    return any("," in field for field in numbers) and not any("." in field for field in numbers)
 
 
 def _units(names: Sequence[str], units: Sequence[str]) -> dict[str, str]:
