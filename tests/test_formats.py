@@ -79,7 +79,7 @@ DATES = pd.Timestamp("2024-05-01 12:00:00.5") + pd.to_timedelta(FRAME["time_s"],
 SINCE_1970 = 1_714_564_800.5 + FRAME["time_s"]  # date -u -d '2024-05-01 12:00:00' +%s
 WRITTEN_DATES = {
     "csv": (DATES, ".csv"),
-    "csv with T and a comma": (DATES.map(lambda one: one.isoformat().replace(".", ",")), ".csv"),
+    "csv with T and a comma": (DATES.astype(str).str.replace(" ", "T").str.replace(".", ","), ".csv"),
     "csv of another zone": (DATES.dt.tz_localize("UTC").dt.tz_convert("Asia/Tokyo"), ".csv"),
     "parquet": (DATES, ".parquet"),
     "parquet of another zone": (DATES.dt.tz_localize("UTC").dt.tz_convert("America/New_York"), ".parquet"),
@@ -261,6 +261,27 @@ def test_a_date_or_a_remark_has_no_decimal_mark(tmp_path, other):
     table = only(text("Remark;Zeit [s];v [km/h]\n" + rows)(tmp_path))
     np.testing.assert_allclose(table.numbers("Zeit [s]"), np.arange(8) / 100.0)
     np.testing.assert_allclose(table.numbers("v [km/h]"), 50.125 + np.arange(8))
+
+
+def test_a_unit_in_brackets_that_is_not_understood_is_said(tmp_path):
+    """Square brackets hold units alone, so it is refused; round ones may hold a remark, so SI is assumed and noted."""
+    path = text("Zeit [s];v [furlong];w (furlong);a[0]\n0;1;2;3\n1;2;3;4\n2;3;4;5\n")(tmp_path)
+    square = RecordingFile(path=path, mapping={"v_x": {"column": "v [furlong]"}})
+    with pytest.raises(InputError, match=r"unit 'furlong' is not understood; a unit in the mapping .* m/s, km/h"):
+        square.load()
+    stated = RecordingFile(path=path, mapping={"v_x": {"column": "v [furlong]", "unit": "m/s"}}).load()
+    assert not [note for note in stated.notes if "furlong" in note]
+    round_ones = {"v_x": {"column": "w (furlong)"}, "a_y": {"column": "a[0]"}}
+    notes = RecordingFile(path=path, mapping=round_ones).load().notes
+    assert "v_x: unit 'furlong' is not understood, m/s assumed" in notes
+    assert not [note for note in notes if note.startswith("a_y")]
+
+
+def test_a_unit_of_time_that_is_not_understood_is_refused_with_what_helps(tmp_path):
+    path = text("Zeit [UTC];v_x_mps\n0;1\n1;2\n2;3\n")(tmp_path)
+    with pytest.raises(InputError, match="unit 'UTC' is not understood; recording.time_unit counts instead: s, ms"):
+        RecordingFile(path=path).load()
+    assert len(RecordingFile(path=path, time_unit="s").load().t) == 3
 
 
 def test_a_logger_may_have_a_decimal_comma_in_every_field(tmp_path):

@@ -99,6 +99,22 @@ def test_a_unit_of_another_kind_is_no_match_and_a_rims_speed_asks_for_the_radius
     assert not wheel.needs_radius
 
 
+def test_a_unit_that_is_not_understood_is_said_and_does_not_hide_the_name(tmp_path: Path) -> None:
+    t = np.arange(200) / 50.0
+    columns = {
+        "Zeit [UTC]": t, "Lenkradwinkel [Grad]": 40 * np.sin(t), "Geschwindigkeit [Knoten pro h]": 20 + t,
+        "latacc (x)": np.sin(t), "Wheel speed (FL)": 60 + t,
+    }  # fmt: skip
+    found = inspect(csv(tmp_path / "a.csv", columns))
+    assert found.unread is None
+    guesses = {one.channel: one for one in found.guesses}
+    assert {*guesses} == {"steering_wheel", "v_x", "a_y", "wheel_speed_fl"}
+    assert (guesses["steering_wheel"].unit, guesses["steering_wheel"].sure) == ("deg", "sure")
+    assert guesses["v_x"].unit_from == "assumed, as unit 'Knoten pro h' is not understood"
+    assert "unit 'Knoten pro h' is not understood" in spoken(found)
+    assert "unit 'Knoten pro h' is not understood" in mapping_text(found)
+
+
 def test_the_surest_name_is_taken_and_the_others_are_listed() -> None:
     (one,) = guess([column("a_y_raw"), column("latacc"), column("accel_y_mps2")])
     assert one.columns == ("accel_y_mps2",)

@@ -80,9 +80,7 @@ def test_measured_channels_need_no_library_of_can(tmp_path):
 def test_a_unit_that_is_none_of_the_channel_is_refused_unless_the_mapping_says_another(tmp_path):
     path = written(tmp_path)
     bad: dict[str, Any] = {"v_x": {"column": "Motion/Speed"}}
-    refused(
-        path, "channel v_x: the file says that 'Motion/Speed' is in 'furlong', which is no unit of m/s", mapping=bad
-    )
+    refused(path, "channel v_x: column 'Motion/Speed': unit 'furlong' is not understood; a unit in", mapping=bad)
     bad["v_x"] |= {"unit": "m/s", "scale": 2.0}
     assert_is_the_drive(RecordingFile(path=path, mapping=bad).load(), {"v_x": 0.01})
 

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from vehicle_sbi import plain_yaml
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.formats.table import Table
-from vehicle_sbi.data.units import UNITS, factor, known_unit
+from vehicle_sbi.data.units import UNITS, factor, known_unit, not_understood
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.plain_yaml import UnreadableYaml
 
@@ -94,11 +94,17 @@ class ChannelSource:
         si, found = self._si(name, where), known_unit(stated)
         if found is None or found[0] != si:
             allowed = ", ".join(one for one, (kind, _) in UNITS.items() if kind == si)
+            why = "is not understood" if found is None else f"is no unit of {si}"
             raise InputError(
-                f"{where}: the file says that '{column}' is in '{stated}', which is no unit of {si}; a unit "
-                f"in the mapping counts instead: {allowed}"
+                f"{where}: column '{column}': unit '{stated}' {why}; a unit in the mapping counts instead: {allowed}"
             )
         return found[1]
+
+    def assumed(self, name: str, table: Table) -> list[str]:
+        """What stands in brackets after the columns' names and is not understood, where nothing states a unit."""
+        if self.unit is not None or name == "brake":
+            return []
+        return [odd for one in self.columns if not table.unit(one) and (odd := not_understood(one))]
 
     def _si(self, name: str, where: str) -> str:
         """The SI unit of the column, which for a wheel may be that of its rim."""

@@ -20,8 +20,8 @@ from vehicle_sbi.data.formats.table import Table
 from vehicle_sbi.data.mapping import Candidates, ChannelSource, built, mapping_file, native, sources
 from vehicle_sbi.data.plausibility import LIMITS, absurd, findings, spoken_runs
 from vehicle_sbi.data.recording import Recording
-from vehicle_sbi.data.time_units import guessed
-from vehicle_sbi.data.units import factor
+from vehicle_sbi.data.time_units import FASTEST, guessed
+from vehicle_sbi.data.units import factor, known_unit
 from vehicle_sbi.errors import InputError, unknown
 from vehicle_sbi.files import sha256
 
@@ -126,6 +126,11 @@ class RecordingFile:
         if any(stated.values()):
             spoken = ", ".join(f"{name} {' + '.join(units)}" for name, units in stated.items() if units)
             notes.append(f"units as {Path(self.path).name} states them: {spoken}")
+        notes += [
+            f"{name}: unit '{odd}' is not understood, {CHANNELS[name].unit} assumed"
+            for name, (table, source) in chosen.items()
+            for odd in source.assumed(name, table)
+        ]
         return {
             name: _series(name, source, table, clocks[table.clock], notes) for name, (table, source) in chosen.items()
         }
@@ -297,6 +302,11 @@ def _times(table: Table, name: str, unit: str | None) -> Float[np.ndarray, " row
         raise InputError(
             f"{table.path}: column '{name}' states no unit, and its usual step of {step:.6g} is too long for seconds: "
             f"recording.time_unit={guessed(step)} says what it looks like, recording.time_unit=s that it is right"
+        )
+    if unit is not None and unit == table.unit(name) and known_unit(unit) is None:
+        raise InputError(
+            f"{table.path}: column '{name}': unit '{unit}' is not understood; recording.time_unit counts instead: "
+            f"s, {', '.join(name for name, _ in reversed(FASTEST))}"
         )
     return t * factor(unit or "s", "s", f"{table.path}: column {name}")
 

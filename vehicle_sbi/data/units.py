@@ -30,7 +30,17 @@ UNITS: Mapping[str, tuple[str, float]] = MappingProxyType(
 )  # fmt: skip
 """Unit -> (SI unit, factor), the usual spelling of each: those that messages list."""
 
-TIMES = {"s": 1.0, "sec": 1.0, "second": 1.0, "ms": 1e-3, "min": 60.0, "minute": 60.0, "h": 3600.0, "hr": 3600.0}
+TIMES = {
+    "s": 1.0,
+    "sec": 1.0,
+    "sek": 1.0,
+    "second": 1.0,
+    "ms": 1e-3,
+    "min": 60.0,
+    "minute": 60.0,
+    "h": 3600.0,
+    "hr": 3600.0,
+}
 ANGLES = {
     "rad": 1.0, "radian": 1.0, "radians": 1.0, "mrad": 1e-3,
     "deg": math.pi / 180.0, "degree": math.pi / 180.0, "degrees": math.pi / 180.0, "degs": math.pi / 180.0,
@@ -79,13 +89,38 @@ SPELLINGS: Mapping[str, tuple[str, float]] = MappingProxyType(
         **dict.fromkeys(("mg",), ("m/s²", G / 1000.0)),
         **dict.fromkeys(("gal",), ("m/s²", 0.01)),
         **dict.fromkeys(("newtonmet", "newtonmeter", "newtonmetre", "newtonmeters"), ("N m", 1.0)),
-        **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), ("s", 1.0)),
+        **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek"), ("s", 1.0)),
         **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), ("s", 1e-3)),
         **dict.fromkeys(("us", "usec", "microsecond", "microseconds"), ("s", 1e-6)),
         **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), ("s", 1e-9)),
     }
 )
 """Every other spelling, as `_plain` leaves it."""
+
+BRACKETS = re.compile(r"\s*([\[(])([^\[\]()]+)[\])]\s*$")
+"""What stands in brackets at the end of a column's name."""
+
+
+def in_brackets(name: str) -> str:
+    """The unit in brackets at the end of a column's name, "" if there is none.
+
+    Square brackets hold nothing but units, except a number that counts columns; in round ones known units alone count.
+    """
+    found = BRACKETS.search(name)
+    if found is None or (known_unit(found[2]) is None and (found[1] == "(" or found[2].strip().isdigit())):
+        return ""
+    return found[2]
+
+
+def not_understood(name: str) -> str:
+    """What stands in brackets at the end of a column's name where that is no known unit, else ""."""
+    found = BRACKETS.search(name)
+    return "" if found is None or known_unit(found[2]) or found[2].strip().isdigit() else found[2].strip()
+
+
+def without_brackets(name: str) -> str:
+    """A column's name without what stands in brackets at its end."""
+    return BRACKETS.sub("", name)
 
 
 def _plain(unit: str) -> str:

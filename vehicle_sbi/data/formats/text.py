@@ -18,7 +18,7 @@ import pandas as pd
 
 from vehicle_sbi.data.formats.lines import check_widths, text_lines
 from vehicle_sbi.data.formats.table import Table, foreign
-from vehicle_sbi.data.units import known_unit
+from vehicle_sbi.data.units import in_brackets, known_unit, without_brackets
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.words import enumerated
 
@@ -30,8 +30,6 @@ FIRST_ROWS = 100
 
 TIMES = ("time_s", "time", "t", "timestamp", "elapsed time", "elapsed", "zeit", "zeitstempel", "messzeit")
 """Names of the time column, the first that a file has, whatever their case."""
-
-BRACKETS = r"[\[(]([^\[\]()]+)[\])]\s*$"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,9 +74,9 @@ def _has_decimal_commas(rows: Sequence[str], separator: str) -> bool:
 
 
 def _units(names: Sequence[str], units: Sequence[str]) -> dict[str, str]:
-    """The units by column: those of the row of units, or known ones in brackets at the end of a name."""
-    in_brackets = {name: found[1] for name in names if (found := re.search(BRACKETS, name)) and known_unit(found[1])}
-    return in_brackets | {name: unit for name, unit in zip(names, units, strict=False) if unit}
+    """The units by column: those of the row of units, or those in brackets at the end of a name."""
+    named = {name: unit for name in names if (unit := in_brackets(name))}
+    return named | {name: unit for name, unit in zip(names, units, strict=False) if unit}
 
 
 def _plain(path: Path, lines: Sequence[str]) -> Layout:
@@ -180,5 +178,5 @@ def _repeated(path: Path, names: Sequence[str]) -> tuple[str, ...]:
 
 def _time(names: Sequence[str]) -> str:
     """The column of time: the first usual name that is there, and `time_s` if none is."""
-    lower = {re.sub(BRACKETS, "", name).strip().lower(): name for name in reversed(names)}
+    lower = {without_brackets(name).strip().lower(): name for name in reversed(names)}
     return next((lower[name] for name in TIMES if name in lower), "time_s")

@@ -12,6 +12,7 @@ from vehicle_sbi.data.formats.registry import read_tables
 from vehicle_sbi.data.formats.table import Table
 from vehicle_sbi.data.inspection.units import called, si, split
 from vehicle_sbi.data.time_units import guessed
+from vehicle_sbi.data.units import not_understood, without_brackets
 from vehicle_sbi.errors import InputError
 
 TIMES = r"(time|time_?stamp|t|elapsed.*|utc.*|header_stamp|.*_time|time_.*)"
@@ -20,7 +21,10 @@ GAP = 0.1, 2.5  # [s] and usual steps that a gap lasts at least, as the reading 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """A column of numbers: unit in the words of `data.units` (None: not said), range, and share of empty rows [1]."""
+    """A column of numbers: unit in the words of `data.units` (None: not said), range, and share of empty rows [1].
+
+    `odd_unit` is what the file or brackets in the name say that is no known unit.
+    """
 
     name: str
     clock: str
@@ -30,6 +34,7 @@ class Column:
     high: float
     absent: float
     values: Float[np.ndarray, " rows"]
+    odd_unit: str = ""
 
     @property
     def address(self) -> str:
@@ -55,12 +60,13 @@ class Column:
 class Clock:
     """A table's times: column and unit, span [s], rate [Hz], and its gaps, each with start and length [s].
 
-    `usual`: readers take this column by themselves. `back` counts steps that do not go on.
+    `usual`: readers take this column by themselves, `understood`: and its unit, if the file states one. `back` counts steps that do not go on.
     """
 
     name: str
     time: str
     usual: bool
+    understood: bool
     time_unit: str
     rows: int
     start: float
@@ -123,6 +129,7 @@ def _column(table: Table, column: str) -> Column | None:
     return Column(
         name=column, clock=table.clock, unit=unit, unit_from=source, low=float(known.min()), high=float(known.max()),
         absent=float(1.0 - len(known) / len(values)), values=values,
+        odd_unit="" if unit else table.unit(column) or not_understood(column),
     )  # fmt: skip
 
 
@@ -154,6 +161,7 @@ def _clock(table: Table, asked: str | None) -> Clock:
         name=table.clock,
         time=time,
         usual=time == table.time,
+        understood=dates is not None or not table.unit(time) or called(table.unit(time)) is not None,
         time_unit=unit,
         rows=len(values),
         start=float(t[0]),
@@ -169,7 +177,9 @@ def _time_column(table: Table) -> str:
     if table.has(table.time):
         return table.time
     named = [
-        name for name in map(str, table.columns) if re.fullmatch(TIMES, split(name, is_time=True)[0].strip().lower())
+        name
+        for name in map(str, table.columns)
+        if re.fullmatch(TIMES, without_brackets(split(name, is_time=True)[0]).strip().lower())
     ]
     if not named:
         listed = ", ".join(list(map(str, table.columns))[:12])

@@ -26,6 +26,7 @@ from vehicle_sbi.data.inspection.names import (
     WHEEL,
 )  # fmt: skip
 from vehicle_sbi.data.inspection.units import si, split
+from vehicle_sbi.data.units import without_brackets
 
 ROAD_WHEELS_TURN = 0.8  # [rad], 46 degrees: a steering that goes further is the steering wheel's
 UNSURE = 2  # rank of a name from which it is unsure
@@ -76,13 +77,15 @@ def plain(name: str) -> str:
 def _channel(column: Column) -> tuple[str, int] | None:
     """The channel that a column's name speaks for and the rank of the name, 0 the surest; None for no channel.
 
-    What a message or group is called speaks where the field's own name does not.
+    What a message or group is called speaks where the field's own name does not; what stands in brackets may say which
+    wheel it is, and is left off where no name is found with it.
     """
     if column.name in NATIVE:
         return NATIVE[column.name], -1
     if re.search(COMMANDS, plain(column.name)) or re.search(NEVER, plain(column.field)):
         return None
-    names = dict.fromkeys((plain(column.field), plain(column.name)))
+    whole = (column.field, column.name)
+    names = dict.fromkeys(map(plain, (*whole, *map(without_brackets, whole))))
     return next((found for name in names if (found := _called(name, column)) is not None), None)
 
 
@@ -133,6 +136,7 @@ def _guess(channel: str, ranked: Sequence[tuple[int, Column]], both: Sequence[Co
         great = column.largest > LIMITS.get(channel, np.inf) and own in OF_GREAT_VALUES
         unit = OF_GREAT_VALUES[own] if great else own
         source = f"its values go to {max(abs(column.low), abs(column.high)):.3g}" if great else "assumed"
+        source += f", as unit '{column.odd_unit}' is not understood" if column.odd_unit else ""
     return Guess(
         channel=channel,
         columns=tuple(one.address for one in both) or (column.address,),

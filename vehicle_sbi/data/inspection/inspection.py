@@ -84,7 +84,7 @@ def time_settings(table: Contents) -> dict[str, str]:
     """What a recording's settings have to say of the time column."""
     clock = table.clock
     name = {} if clock.usual else {"time": clock.time}
-    return name | ({} if clock.time_unit == "s" else {"time_unit": clock.time_unit})
+    return name | ({} if clock.time_unit == "s" and clock.understood else {"time_unit": clock.time_unit})
 
 
 def _read(
