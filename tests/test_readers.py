@@ -104,7 +104,53 @@ def test_a_straight_line_is_resampled_exactly(tmp_path):
     np.testing.assert_allclose(rec.channels["v_x"], 3.0 + 2.0 * rec.t, rtol=1e-12)
     assert rec.valid["v_x"].all()
     assert t[-1] - rec.t[-1] < 1 / 77.0
-    assert "resampled linearly to 77 Hz" in rec.notes[-1]
+    assert any("resampled linearly to 77 Hz" in note for note in rec.notes)
+    assert "v_x: low-passed at 30.8 Hz without phase, as its" in rec.notes[-1]
+
+
+def vibrating(seconds: float = 20.0) -> pd.DataFrame:
+    """A slow motion at 400 Hz on which an engine shakes with 1.5 m/s^2 at 49.3 Hz."""
+    t = np.arange(0.0, seconds, 0.0025)
+    return pd.DataFrame({"time_s": t, "a_y_mps2": np.sin(t) + 1.5 * np.sin(2.0 * np.pi * 49.3 * t)})
+
+
+def test_what_a_slower_grid_cannot_show_does_not_come_back_as_slow_motion(tmp_path):
+    """The filter leaves 1 / (1 + (49.3 / 20)^8) of the line, which sampled at 50 Hz would be one of 0.7 Hz."""
+    rec = RecordingFile(path=saved(tmp_path, vibrating()), rate=50.0).load()
+    inner = slice(25, -25)  # half a second, ten periods of the cutoff
+    left = rec.channels["a_y"][inner] - np.sin(rec.t[inner])
+    assert np.abs(left).max() < 1.5 / (1.0 + (49.3 / 20.0) ** 8) + 1e-4
+    assert [note for note in rec.notes if note.startswith("a_y: low-passed at 20 Hz without phase, as its 400 Hz")]
+
+
+@pytest.mark.parametrize("rate", [None, 400.0, 385.0, 800.0])
+def test_a_grid_that_is_not_slower_changes_nothing(tmp_path, rate):
+    data = vibrating(2.0)
+    rec = RecordingFile(path=saved(tmp_path, data), rate=rate).load()
+    np.testing.assert_array_equal(rec.channels["a_y"], np.interp(rec.t, data["time_s"], data["a_y_mps2"]))
+    assert not [note for note in rec.notes if "low-passed" in note]
+
+
+def test_gaps_part_what_is_low_passed_and_absent_samples_are_bridged(tmp_path):
+    """What lies beyond a long gap does not matter, a piece that is too short stays, and a flag stays one."""
+    data = vibrating(6.0).assign(brake_flag=lambda one: (one["time_s"] > 1.0).astype(float))
+    data.loc[1000:1002, "a_y_mps2"] = np.nan
+    gap = (data["time_s"] > 3.0) & (data["time_s"] < 4.0)
+    short = (data["time_s"] >= 4.05) & (data["time_s"] < 5.0)
+    data.loc[gap | short, "a_y_mps2"] = np.nan
+    rec = RecordingFile(path=saved(tmp_path, data), rate=50.0).load()
+    far = data.assign(a_y_mps2=data["a_y_mps2"] + 100.0 * (data["time_s"] > 3.5))
+    other = RecordingFile(path=saved(tmp_path, far, "far.csv"), rate=50.0).load()
+    before = rec.t < 3.0
+    np.testing.assert_array_equal(rec.channels["a_y"][before], other.channels["a_y"][before])
+    inner = (rec.t > 0.5) & (rec.t < 2.9)
+    bridged = 1.5 * 0.0075 * 41.0  # 3 samples that err by a wave at most, under a filter whose response is 41 / s
+    assert np.abs(rec.channels["a_y"] - np.sin(rec.t))[inner].max() < bridged
+    unfiltered = (rec.t >= 4.0) & (rec.t < 4.045)
+    np.testing.assert_allclose(
+        rec.channels["a_y"][unfiltered], np.interp(rec.t[unfiltered], data["time_s"], vibrating(6.0)["a_y_mps2"])
+    )
+    assert {*np.unique(rec.channels["brake"])} == {0.0, 1.0}
 
 
 def test_a_rate_is_inferred_from_the_median_step(tmp_path):

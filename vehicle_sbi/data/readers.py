@@ -2,7 +2,7 @@
 
 A file is one `Table` a clock (a topic, a group of channels, a CAN message), and a mapping says which column of them
 holds which channel. All clocks of a drive, of one file or several in the same time base, are then laid on one uniform
-grid by linear interpolation; how they lie to each other is noted.
+grid by linear interpolation, those that are faster after a low-pass; how they lie to each other is noted.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import maximum_filter
 
+from vehicle_sbi.data.antialiasing import CUTOFF, is_faster, low_passed
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.formats.registry import read_tables
 from vehicle_sbi.data.formats.table import Table
@@ -328,7 +329,10 @@ def _check_absent(
 def _resampled(
     name: str, series: Series, grid: Float[np.ndarray, " time"], notes: list[str]
 ) -> tuple[Float[np.ndarray, " time"], Bool[np.ndarray, " time"]]:
-    """Values and validity on the grid: linear between measured samples, filled in short gaps, absent in long ones."""
+    """Values and validity on the grid: linear between measured samples, filled in short gaps, absent in long ones.
+
+    Of a series that is faster than the grid, what the grid cannot show is taken off first; a flag stays a flag.
+    """
     steps = np.diff(series.t)
     usual, step = 1.5 * float(np.quantile(steps, 0.95)), float(np.median(steps))
     known = np.isfinite(series.values)
@@ -336,8 +340,14 @@ def _resampled(
     after = np.clip(np.searchsorted(t, grid), 1, len(t) - 1)
     off_sample = np.minimum(np.abs(grid - t[after - 1]), np.abs(grid - t[after])) > 0.02 * step
     gap = np.where(off_sample, t[after] - t[after - 1], 0.0)
-    absent = (gap > max(SHORT_GAP_S, 2.5 * step)) | (off_sample & ((grid < t[0]) | (grid > t[-1])))
+    longest_gap = max(SHORT_GAP_S, 2.5 * step)
+    absent = (gap > longest_gap) | (off_sample & ((grid < t[0]) | (grid > t[-1])))
     filled = (gap > usual) & ~absent
+    rate = 1.0 / float(np.median(np.diff(grid))) if len(grid) > 1 else np.inf
+    if name != "brake" and is_faster(step, rate):
+        values = low_passed(t, values, rate, longest_gap)
+        why = f"its {1.0 / step:.3g} Hz are more than the grid's {rate:.3g} Hz"
+        notes.append(f"{name}: low-passed at {CUTOFF * rate:.3g} Hz without phase, as {why}")
     if filled.any():
         notes.append(f"{name}: {filled.sum()} samples filled linearly in gaps up to {gap[filled].max():.3g} s")
     if absent.any():
