@@ -112,7 +112,7 @@ def test_what_is_no_date_among_dates_is_one_line(tmp_path):
     texts = DATES.astype(str)
     texts[7] = "noon"
     FRAME.assign(time_s=texts).to_csv(tmp_path / "drive.csv", index=False)
-    with pytest.raises(InputError, match="row 9, column 'time_s': 'noon' is no date$"):
+    with pytest.raises(InputError, match=r"row 9, column 'time_s': 'noon' is no date$"):
         RecordingFile(path=tmp_path / "drive.csv").load()
 
 
@@ -279,7 +279,7 @@ def test_a_unit_in_brackets_that_is_not_understood_is_said(tmp_path):
 
 def test_a_unit_of_time_that_is_not_understood_is_refused_with_what_helps(tmp_path):
     path = text("Zeit [UTC];v_x_mps\n0;1\n1;2\n2;3\n")(tmp_path)
-    with pytest.raises(InputError, match="unit 'UTC' is not understood; recording.time_unit counts instead: s, ms"):
+    with pytest.raises(InputError, match=r"unit 'UTC' is not understood; recording.time_unit counts instead: s, ms"):
         RecordingFile(path=path).load()
     assert len(RecordingFile(path=path, time_unit="s").load().t) == 3
 

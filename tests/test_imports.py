@@ -13,10 +13,11 @@ physics.vehicle physics.size physics.tyre physics.magic_formula physics.signals 
 physics.balance physics.axle physics.single_track physics.full_vehicle physics.rolling physics.simulation
 data.channels data.recording data.masks data.smoothing data.windows data.cutting data.checks.drive data.checks.limits
 data.checks.units data.checks.signs data.checks.offsets data.checks.shifts data.checks.samples data.plausibility
-data.units data.formats.limits data.formats.table data.formats.lines data.formats.text data.formats.vbo
+data.units data.time_units data.formats.limits data.formats.dates data.formats.table data.formats.lines
+data.formats.text data.formats.vbo
 data.formats.parquet data.formats.comma2k19 data.formats.matlab data.formats.ros_definitions data.formats.ros_messages
 data.formats.ros_unpacking data.formats.rosbag data.formats.can_frames data.formats.can_log data.formats.mdf_blocks
-data.elsewhere data.formats.registry data.formats.mdf data.mapping data.readers data.inspection.units
+data.elsewhere data.formats.registry data.formats.mdf data.mapping data.antialiasing data.readers data.inspection.units
 data.inspection.names data.inspection.contents data.inspection.guess data.inspection.excitation
 data.inspection.inspection data.inspection.spoken data.inspection.written data.manoeuvre data.noise
 inference.prior inference.effect_prior inference.spike_slab inference.importance inference.simulator

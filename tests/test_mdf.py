@@ -94,7 +94,7 @@ def test_a_unit_may_stand_in_the_conversion_of_a_channel(tmp_path):
         raw = np.round(DRIVE["v_x"](t) * 360.0).astype(np.uint16)
         file.append([Signal(raw, t, name=name, unit="km/h", conversion=scale)], acq_name=name, common_timebase=True)
     for group, own in zip(file.groups, ("", "mph"), strict=True):
-        channel = next(one for one in group.channels if one.conversion is not None)
+        channel: Any = next(one for one in group.channels if one.conversion is not None)
         channel.conversion.unit, channel.unit = "km/h", own
     file.save(tmp_path / "drive.mf4", overwrite=True)
     file.close()

@@ -64,12 +64,11 @@ class RecordingFile:
     """A recording on disk, what its columns mean, and how it is used unless the user says otherwise.
 
     `mapping` names the source of each channel, or a YAML file that does (None or empty: the native columns of
-    `CHANNELS`); `dbc` is the database of raw CAN frames; `time` is the time column [time_unit; None: as the
-    file states it, else s], whose values stay the
-    recording's time (dates become seconds since 1970; that of a VBO, a bag or a log starts at 0); `rate` [Hz] resamples (None: the file's own, of its
-    fastest clock); `start_s` and `stop_s` cut; `also` are further files of the same drive in the same time base (path,
-    mapping, dbc and time of theirs count), cut to the stretch that all of them cover. `drive`, `channels` and `v_min`
-    [m/s] are defaults for `cutting.cut`.
+    `CHANNELS`); `dbc` is the database of raw CAN frames; `time` is the time column [time_unit; None: as the file states
+    it, else s], whose values stay the recording's time (dates become seconds since 1970; that of a VBO, a bag or a log
+    starts at 0); `rate` [Hz] resamples (None: the file's own, of its fastest clock); `start_s` and `stop_s` cut; `also`
+    are further files of the same drive in the same time base (path, mapping, dbc and time of theirs count), cut to the
+    stretch that all of them cover. `drive`, `channels` and `v_min` [m/s] are defaults for `cutting.cut`.
     Mappings of settings stand for `ChannelSource` and `RecordingFile`, as a configuration file holds them.
     """
 

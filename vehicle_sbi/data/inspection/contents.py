@@ -60,7 +60,8 @@ class Column:
 class Clock:
     """A table's times: column and unit, span [s], rate [Hz], and its gaps, each with start and length [s].
 
-    `usual`: readers take this column by themselves, `understood`: and its unit, if the file states one. `back` counts steps that do not go on.
+    `usual`: readers take this column by themselves; `understood`: so do they its unit, if the file states one. `back`
+    counts steps that do not go on.
     """
 
     name: str
