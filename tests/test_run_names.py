@@ -6,11 +6,14 @@ from _entry.command_line import as_typed, spelled_out
 import itertools
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import given
 from hypothesis import strategies as st
+
+from vehicle_sbi.quoting import quoted, unquoted
 
 HASHED = re.compile(r"-[0-9a-f]{8}$")
 FILES = {
@@ -88,3 +91,45 @@ def test_the_recording_that_a_list_implies_is_not_said_twice() -> None:
 def test_a_command_line_is_found_again_in_what_hydra_is_given(path: str) -> None:
     typed = [f"recording={path}", f"vehicle={path}.yaml", f"mapping={path}.yml", "seed=1"]
     assert as_typed(spelled_out(typed)) == typed
+
+
+NAMES = (
+    "Fahrt_Übung.csv", "日本/走行.csv", "it's.csv", 'we said "x".csv', "my drive.csv", "a[1].csv", "k=v.csv", "a,b.csv",
+    r"C:\Users\me\drive.csv", r"\\nas\logs\drive.csv", r"folder/ends\\"[:-1], r"folder/'\'\\'.csv", "two\nlines.csv",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("group", ["recording", "vehicle", "mapping"])
+def test_a_path_reaches_hydra_as_it_is(group: str, name: str) -> None:
+    typed = f"{group}={name}" if group == "recording" else f"{group}={name}.yaml"
+    found = {o.key_or_group: o.value() for o in map(OverridesParser.create().parse_override, spelled_out([typed]))}
+    assert found[{"mapping": "recording.mapping"}.get(group, f"{group}.path")] == typed.removeprefix(f"{group}=")
+
+
+@given(st.text())
+def test_a_quoted_text_is_what_hydra_reads_and_what_comes_back(text: str) -> None:
+    parser = OverridesParser.create()
+    assert parser.parse_override(f"key={quoted(text)}").value() == text
+    assert parser.parse_override(f"key=[{quoted(text)},{quoted(text)}]").value() == [text, text]
+    assert unquoted(quoted(text)) == text
+
+
+def test_a_list_implies_its_first_recording_whatever_it_is_called() -> None:
+    assert as_typed(spelled_out([f"recordings=[{quoted('it[1].csv')}]"])) == ["recordings=['it[1].csv']"]
+    assert f"recording.path={quoted(NAMES[2])}" in spelled_out([f"recordings=[{quoted(NAMES[2])},b.csv]"])
+
+
+def test_a_folder_is_a_recording_unless_a_configured_one_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder in ("processed_log", "demo", "mine", "conf/recording"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "conf" / "recording" / "mine.yaml").touch()
+    monkeypatch.chdir(tmp_path)
+    assert spelled_out(["recording=processed_log"]) == ["recording=file", "recording.path='processed_log'"]
+    assert named("recording=processed_log") == "recording-processed_log"
+    assert spelled_out(["recording=demo", "recording=absent"]) == ["recording=demo", "recording=absent"]
+    flag = ["--config-dir", "conf"]
+    assert spelled_out([*flag, "recording=mine"]) == [*flag, "recording=mine"]
+    assert spelled_out([f"recording={'x' * 5000}"]) == [f"recording={'x' * 5000}"]  # too long for any file

@@ -35,10 +35,10 @@ def named_recordings(cfg: DictConfig) -> DictConfig:
 
 def _settings(entry: str, cfg: DictConfig, where: str) -> object:
     """A file as it is, and a name's settings: those of the command line where it is the recording that is chosen."""
-    if is_file("recording", entry):
-        return entry
     configured, chosen = _configured(), HydraConfig.get().runtime.choices
     if entry not in configured:
+        if is_file("recording", entry):
+            return entry
         raise unknown("recording", entry, configured, where)
     if entry == chosen["recording"]:
         return OmegaConf.to_container(cfg.recording, resolve=True)

@@ -12,7 +12,7 @@ FLAGS = ("--config-dir", "-cd", "--config-path", "-cp")
 
 def check_config_folders(arguments: Sequence[str]) -> None:
     """Raise InputError for a YAML file of a `--config-dir` that is more than a configuration can be."""
-    for folder in _folders(arguments):
+    for folder in config_folders(arguments):
         for file in sorted(Path(folder).rglob("*.yaml")):
             try:
                 check(file)
@@ -20,7 +20,7 @@ def check_config_folders(arguments: Sequence[str]) -> None:
                 raise InputError(f"{file}: {error}") from None
 
 
-def _folders(arguments: Sequence[str]) -> Iterator[str]:
+def config_folders(arguments: Sequence[str]) -> Iterator[str]:
     """What follows the flags, after a blank or an equals sign."""
     for argument, following in itertools.pairwise([*arguments, ""]):
         flag, equals, value = argument.partition("=")

@@ -11,6 +11,7 @@ from vehicle_sbi.files import write_text
 from vehicle_sbi.fleet.attended import attended
 from vehicle_sbi.fleet.engine import Engine, each
 from vehicle_sbi.fleet.vehicles import Member
+from vehicle_sbi.quoting import quoted
 from vehicle_sbi.report import manifest
 
 VERDICT = "verdict.json"
@@ -28,7 +29,7 @@ class Job:
 
     @property
     def words(self) -> list[str]:
-        return [*self.member.words, *self.options, f"hydra.run.dir={_quoted(self.folder)}"]
+        return [*self.member.words, *self.options, f"hydra.run.dir={quoted(str(self.folder))}"]
 
     @property
     def log(self) -> Path:
@@ -94,8 +95,3 @@ def _reason(log: Path) -> str:
     lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
     said = [line for line in lines if line.startswith("error: ")] or lines[-1:]
     return said[-1].removeprefix("error: ") if said else "it was killed"
-
-
-def _quoted(path: Path) -> str:
-    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"

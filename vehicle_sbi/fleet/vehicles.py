@@ -12,6 +12,7 @@ from pathlib import Path
 from vehicle_sbi import plain_yaml
 from vehicle_sbi.data.formats.registry import FORMATS
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.quoting import quoted
 
 HELD_OUT = "heldout"
 DESCRIBED = ("vehicle", "mapping", "options")  # by a file of each
@@ -100,5 +101,4 @@ def _first(*paths: Path) -> Path | None:
 
 def _listed(key: str, paths: tuple[Path, ...]) -> str:
     """`key=['a','b']` as Hydra reads it, whatever is in the names."""
-    quoted = ("'" + str(path).replace("\\", "\\\\").replace("'", "\\'") + "'" for path in paths)
-    return f"{key}=[{','.join(quoted)}]"
+    return f"{key}=[{','.join(quoted(str(path)) for path in paths)}]"
