@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,17 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from cars import PAPER
 from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 from vehiclemodels.vehicle_parameters import VehicleParameters, setup_vehicle_parameters
 
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.inference.prior import KNOWN
 from vehicle_sbi.mismatch.answer.schema import Verdict
+from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.physics.effects import derive, nominal_record
 from vehicle_sbi.physics.vehicle import GRAVITY
 from vehicle_sbi.report import manifest as manifests
 from vehicle_sbi.report.export.export import FORMATS, export
@@ -348,6 +352,64 @@ def test_a_named_stiffness_level_scales_the_axles(tmp_path: Path) -> None:
     std = np.hypot(1e5 * table["std"]["delta_C_alpha_f"] * level, stiffness * table["std"]["stiffness_level.factor"])
     assert cf == shown(stiffness * level, std)
     assert whole["constants"]["C_alpha_f"]["from"] == ["delta_C_alpha_f", "stiffness_level.factor"]
+
+
+LOAD: dict[str, tuple[float, float, str]] = {"payload.mass": (300.0, 15.0, "kg"), "payload.x": (-1.2, 0.1, "m")}
+
+
+def loaded(theta: pd.DataFrame, I_z: float | None) -> tuple[np.ndarray, ...]:
+    """m [kg], l_f [m] and I_z [kg m^2] of the model's own record, for draws of l_f and of a payload."""
+    space = ParameterSpace(tuple(KNOWN[str(name)] for name in theta))
+    records = space.records(theta.to_numpy(), nominal_record(replace(PAPER, I_z=I_z)))
+    for record in records:
+        derive(record)
+    return records["mass"], records["l_front"], records["I_z"]
+
+
+@pytest.mark.parametrize("I_z", [None, 2000.0])
+def test_a_payload_is_in_the_car_of_every_format_as_the_model_has_it(tmp_path: Path, I_z: float | None) -> None:
+    """Means are those of the model's own record, and deviations those of the samples to first order."""
+    run_of(tmp_path, MEANS | LOAD, I_z=I_z, m_s=1350.0)
+    names = ("l_f", *LOAD)
+    samples = samples_of(MEANS | LOAD)[[*names]]
+    (m,), (l_f,), (own,) = loaded(samples.mean().to_frame().T, I_z)
+    deviations = [np.std(draws) for draws in loaded(samples, I_z)]
+    found = json.loads(texts(tmp_path, "json")["parameters.json"])
+    for name, mean, std in zip(("m", "l_f", "I_z"), (m, l_f, own), deviations, strict=True):
+        constant = found["constants"][name]
+        assert constant["mean"] == pytest.approx(mean)
+        assert constant["std"] == pytest.approx(std, rel=0.05)
+        assert constant["note"] == "the payload of the drive is in it"
+    assert "note" not in found["constants"]["C_alpha_f"]
+    mpc = texts(tmp_path, "autoware")["mpc.param.yaml"]
+    loads = parameters(mpc)["vehicle"]
+    assert 2.0 * loads["mass_fl"] == pytest.approx(m * (2.7 - l_f) / 2.7, rel=1e-3)
+    assert 2.0 * loads["mass_rl"] == pytest.approx(m * l_f / 2.7, rel=1e-3)
+    code = texts(tmp_path, "openpilot")["car_specs.py"]
+    assert specs(code)["mass"] + 136.0 == pytest.approx(m, rel=1e-3)
+    assert specs(code)["centerToFrontRatio"] == pytest.approx(l_f / 2.7, rel=1e-3)
+    body = texts(tmp_path, "commonroad")["parameters_vehicle5.yaml"]
+    read = yaml.safe_load(body)
+    assert (read["m"], read["a"], read["I_z"]) == pytest.approx((m, l_f, own), rel=1e-3)
+    assert read["m"] - read["m_s"] == pytest.approx(150.0, rel=1e-3)  # all of the payload is sprung
+    lines = [line_of(mpc, "mass_fl:"), line_of(code, "mass="), *(line_of(body, f"{key}:") for key in ("m", "a", "I_z"))]
+    assert [line for line in lines if "the payload of the drive is in it" not in line] == []
+
+
+def test_a_payload_whose_place_is_not_identified_leaves_out_what_needs_it(tmp_path: Path) -> None:
+    run_of(tmp_path, MEANS | LOAD, unknown=("h_cog", "payload.x"))
+    body = texts(tmp_path, "commonroad")["parameters_vehicle5.yaml"]
+    assert {"m", "a", "I_z"} & set(yaml.safe_load(body)) == {"m"}
+    assert "a left out: payload.x: not identified" in comments(body)
+
+
+def test_the_payload_of_a_diagnosis_holds_if_it_is_there(tmp_path: Path) -> None:
+    sizes = {name: numbers(*of) for name, of in LOAD.items()}
+    explanation = {"effects": ["payload"], "probability": 0.7, "parameters": sizes}
+    diagnosis_of(tmp_path, explanations=[explanation], effects={"payload": 0.8})
+    line = line_of(texts(tmp_path, "commonroad")["parameters_vehicle5.yaml"], "m:")
+    assert yaml.safe_load(line) == {"m": 1800.0}
+    assert "if payload is missing (0.80)" in line
 
 
 @pytest.mark.parametrize("format", FORMATS)

@@ -1,9 +1,12 @@
 """The car's quantities by name, with the effects that change them: what the formats pick from.
 
 C_alpha, C_kappa are AXLE values, both tyres together. Names are those of `Vehicle` and of the catalogue of effects.
+
+A payload of mass m_p, x ahead of the empty car's centre of gravity, is put on it as the model does (`derive` in
+physics/effects.py): m + m_p, l_f - s x and I_z + s m x^2, with s = m_p / (m + m_p); all of it is sprung.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from vehicle_sbi.inference.prior import KNOWN
@@ -12,6 +15,7 @@ from vehicle_sbi.report.export.exported import Exported, Value, made_of
 
 UNITS: Mapping[str, str] = {
     **{name: p.unit for name, p in KNOWN.items() if not p.relative},
+    "m": "kg",
     "I_z": "kg m^2",
     "steering_ratio": "1",
 }
@@ -24,6 +28,16 @@ FACTORS: Mapping[str, tuple[str, ...]] = {
     "I_z": ("yaw_inertia.factor",),
 }
 """What effects multiply a constant by, where they are free."""
+
+LOADED: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
+    "m": (("payload.mass",), lambda m, load: m + load),
+    "m_s": (("payload.mass",), lambda m_s, load: m_s + load),
+    "l_f": (("m", "payload.mass", "payload.x"), lambda l_f, m, load, x: l_f - load / (m + load) * x),
+    "I_z": (("m", "payload.mass", "payload.x"), lambda I_z, m, load, x: I_z + load / (m + load) * m * x**2),
+}
+"""What a payload makes of a constant of the empty car, and what else of both this needs."""
+
+WITH_PAYLOAD = "the payload of the drive is in it"
 
 CENTRE: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
     "x": (("L", "l_f"), lambda L, l_f: L - l_f),
@@ -51,7 +65,21 @@ class Car:
     known: Exported
 
     def quantity(self, name: str) -> Value | None:
-        """A constant of the car with the factors on it, or a parameter of an effect; None where it is not known."""
+        """A constant of the car as driven, or a parameter of an effect; None where it is not known."""
+        value = self._empty(name)
+        if value is None or not self.has_payload(name):
+            return value
+        needs, function = LOADED[name]
+        found = [self._empty(one) if one in (*LOADED, *self.known.inferred) else _null(one) for one in needs]
+        values = [one for one in found if one is not None]
+        return made_of(function, value, *values, unit=value.unit) if len(values) == len(needs) else None
+
+    def has_payload(self, *names: str) -> bool:
+        """Whether a payload of the drive is in any of these quantities."""
+        return "payload.mass" in self.known.inferred and any(name in LOADED for name in names)
+
+    def _empty(self, name: str) -> Value | None:
+        """A constant of the empty car with the factors on it, or a parameter of an effect."""
         value = self._named(name)
         for one in self._factors(name):
             factor = self.known.parameter(one)
@@ -67,14 +95,15 @@ class Car:
         if len(values) < len(needs):
             return Entry(key=key, value=None, why="; ".join(self.why_not(n) for n, v in found.items() if v is None))
         stated = tuple(name for name, value in found.items() if value is not None and not value.slopes)
-        return Entry(key=key, value=made_of(function, *values, unit=unit), note=note, stated=stated)
+        value = made_of(function, *values, unit=unit)
+        return Entry(key=key, value=value, note=self._noted(note, needs), stated=stated)
 
     def same(self, key: str, name: str, note: str = "") -> Entry:
         """A key that takes a quantity as it is."""
         value = self.quantity(name)
         if value is None:
             return Entry(key=key, value=None, why=self.why_not(name))
-        return Entry(key=key, value=value, note=note, stated=() if value.slopes else (name,))
+        return Entry(key=key, value=value, note=self._noted(note, (name,)), stated=() if value.slopes else (name,))
 
     def place(self, axis: str) -> Entry:
         """Where the IMU is along an axis of base_link [m]: x ahead of the rear axle, y left, z above the ground."""
@@ -88,7 +117,7 @@ class Car:
 
     def why_not(self, name: str) -> str:
         """Why a quantity is not known."""
-        parts = [*self._setting(name), *self._factors(name)]
+        parts = [*self._setting(name), *self._factors(name), *self._load(name)]
         parts += ["steering_ratio.gain"] if name == "steering_ratio" else []
         culprits = [one for one in parts if one in self.known.not_identified]
         if culprits:
@@ -103,6 +132,15 @@ class Car:
     def _factors(self, name: str) -> list[str]:
         """The free parameters that multiply a constant."""
         return [one for one in FACTORS.get(name, ()) if one in self.known.inferred]
+
+    def _load(self, name: str) -> list[str]:
+        """The free parameters of a payload that a constant depends on."""
+        needs = LOADED[name][0] if self.has_payload(name) else ()
+        return [one for one in needs if one in self.known.inferred]
+
+    def _noted(self, note: str, names: Sequence[str]) -> str:
+        """A note, with that of the payload where one is in any of these quantities."""
+        return "; ".join(filter(None, (note, WITH_PAYLOAD if self.has_payload(*names) else "")))
 
     def _named(self, name: str) -> Value | None:
         """A quantity without the factors on it."""
@@ -142,9 +180,14 @@ class Car:
         return None if gain is None else made_of(lambda ratio, g: ratio / g, stated, gain, unit="1")
 
     def _yaw_inertia(self) -> Value | None:
-        """m l_f l_r [kg m^2], the model's yaw inertia where none is stated."""
-        parts = [self.quantity(name) for name in ("m", "L", "l_f")]
+        """m l_f l_r [kg m^2] of the empty car, the model's yaw inertia where none is stated."""
+        parts = [self._empty(name) for name in ("m", "L", "l_f")]
         values = [value for value in parts if value is not None]
         if len(values) < len(parts):
             return None
         return made_of(lambda m, L, l_f: m * l_f * (L - l_f), *values, unit="kg m^2")
+
+
+def _null(name: str) -> Value:
+    """A parameter of an effect that is not free, where the effect vanishes."""
+    return Value(mean=KNOWN[name].null or 0.0, unit=KNOWN[name].unit, slopes={})

@@ -3,14 +3,14 @@
 import json
 from dataclasses import asdict
 
-from vehicle_sbi.report.export.car import UNITS, Car
+from vehicle_sbi.report.export.car import UNITS, WITH_PAYLOAD, Car
 from vehicle_sbi.report.export.exported import Exported, Inferred
 
 SCHEMA = 1
 CONVENTIONS = (
     "SI units; x ahead, y left, z up, angles positive to the left. Stiffnesses are AXLE values, both tyres together. "
-    "constants: the car with the identified effects on it; those that are stated but were not identified are under "
-    "stated."
+    "constants: the car with the identified effects on it, a payload included where a note says so; those that are "
+    "stated but were not identified are under stated, as the vehicle file has them."
 )
 
 
@@ -41,5 +41,6 @@ def _constants(known: Exported) -> dict[str, dict[str, object]]:
     for name in (name for name in UNITS if "." not in name):
         value = car.quantity(name)
         if value is not None and value.slopes:
-            found[name] = {**asdict(known.estimate(value)), "from": list(value.slopes)}
+            note = {"note": WITH_PAYLOAD} if car.has_payload(name) else {}
+            found[name] = {**asdict(known.estimate(value)), "from": list(value.slopes), **note}
     return found
