@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from vehiclemodels.vehicle_parameters import VehicleParameters, setup_vehicle_parameters
 
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.files import sha256
 from vehicle_sbi.inference.prior import KNOWN
 from vehicle_sbi.mismatch.answer.schema import Verdict
 from vehicle_sbi.parameters import ParameterSpace
@@ -79,6 +80,7 @@ def run_of(
     unknown: tuple[str, ...] = UNKNOWN,
     complete: bool = True,
     effects: object = None,
+    inputs: Mapping[str, str] | None = None,
     **vehicle: Any,
 ) -> pd.DataFrame:
     """A run as its own writer leaves it; returns its table, by parameter."""
@@ -94,7 +96,7 @@ def run_of(
     ]  # fmt: skip
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     config = {"vehicle": VEHICLE | vehicle, "effects": effects}
-    with RunFolder.open(folder, config=config, overrides=[], inputs={}) as run:
+    with RunFolder.open(folder, config=config, overrides=[], inputs=inputs or {}) as run:
         table.to_csv(folder / "table.csv", index=False)
         samples.to_parquet(folder / "samples.parquet")
         run.record(warnings=[WARNING])
@@ -442,6 +444,18 @@ def test_a_car_whose_file_has_gone_is_exported_without_its_constants(tmp_path: P
     assert set(parameters(text)) == {"input_delay"}
     assert "Constants of the vehicle are not known" in comments(text)
     assert "delta_C_alpha_f: an offset from a nominal C_alpha_f that is not known" in comments(text)
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_constants_of_a_vehicle_file_that_has_changed_are_not_those_of_the_run(tmp_path: Path, format: str) -> None:
+    file = tmp_path / "car.yaml"
+    file.write_text("m: 1500\nL: 2.7\nC_alpha_f: 60000\nC_alpha_r: 60000\n")
+    target: dict[str, Any] = {"_target_": "vehicle_sbi.physics.vehicle.read", "path": str(file)}
+    run_of(tmp_path / "run", inputs={str(file): sha256(file)}, **target)
+    assert texts(tmp_path / "run", format)
+    file.write_text(file.read_text().replace("1500", "1700"))
+    with pytest.raises(InputError, match=rf"^{file} has changed since this run, .* repeat the run$"):
+        export(tmp_path / "run", format)
 
 
 @pytest.mark.parametrize(

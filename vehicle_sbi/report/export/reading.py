@@ -19,7 +19,7 @@ from vehicle_sbi.mismatch.answer.wording import NAMED
 from vehicle_sbi.mismatch.estimation.estimate import Estimate
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.physics.vehicle import read as read_vehicle
-from vehicle_sbi.report import netcdf
+from vehicle_sbi.report import manifest, netcdf
 from vehicle_sbi.report.export.exported import Exported, Inferred
 from vehicle_sbi.report.run_folder import FinishedRun
 from vehicle_sbi.report.run_folder import read as read_run
@@ -259,7 +259,7 @@ def _exported(
     doubted: Mapping[str, float],
     caveats: list[str],
 ) -> Exported:
-    vehicle, unread = _vehicle(run.config.get("vehicle") or {})
+    vehicle, unread = _vehicle(run.config.get("vehicle") or {}, run.manifest["inputs"])
     constants = {} if vehicle is None else {k: float(v) for k, v in vehicle.constants().items() if math.isfinite(v)}
     freed = {field for name in inferred if name in KNOWN for field in KNOWN[name].fields}
     return Exported(
@@ -276,11 +276,19 @@ def _exported(
     )
 
 
-def _vehicle(config: Mapping[str, Any]) -> tuple[Vehicle | None, tuple[str, ...]]:
-    """The vehicle of a configuration, and why its constants are not known where its file has gone."""
+def _vehicle(config: Mapping[str, Any], inputs: Mapping[str, str]) -> tuple[Vehicle | None, tuple[str, ...]]:
+    """The vehicle of a configuration, and why its constants are not known where its file has gone.
+
+    Raises InputError where the file is not the one of the `inputs`, SHA-256 by path, that the run had.
+    """
     if "path" in config:
+        path = str(config["path"])
+        if path in inputs and Path(path).is_file() and not manifest.intact(Path(path), inputs[path]):
+            raise InputError(
+                f"{path} has changed since this run, so the constants that the run had are not known; repeat the run"
+            )
         try:
-            return read_vehicle(str(config["path"])), ()
+            return read_vehicle(path), ()
         except InputError as error:
             return None, (f"Constants of the vehicle are not known: {error}.",)
     known = {field.name for field in fields(Vehicle)}
