@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from bokeh.models import ColumnDataSource
 from pages import HOSTILE, diagnosis_page, run_page
 from test_report import PNG, finished_run, table
 
@@ -127,6 +128,23 @@ def test_a_headline_counts(tmp_path: Path) -> None:
     assert headline(found.assign(identified=True)) == "The recording identifies all 3 parameters."
     assert headline(found.assign(identified=False)) == "The recording identifies none of 3 parameters."
     assert headline(found.iloc[:1].assign(identified=True)) == "The recording identifies the parameter."
+
+
+def drawn_times(t: np.ndarray) -> np.ndarray:
+    """The times of the points of a chart's first curve [s], of samples at `t` [s]."""
+    from vehicle_sbi.report.page.charts import Series, chart
+
+    y = np.sin(t)[None]
+    grid, _ = chart(Series(t=t, channels=["a_y"], units=["m/s²"], curves={"recorded": y}), {"recorded": "recorded"})
+    (source,) = grid.select({"type": ColumnDataSource})
+    assert isinstance(source, ColumnDataSource)
+    assert np.asarray(source.data["recorded_0"]).dtype == np.float32  # which keeps the page small
+    return np.asarray(source.data["t"])
+
+
+def test_a_clock_since_1970_keeps_every_sample_apart() -> None:
+    t = 1_714_550_000.0 + np.arange(12_000) / 100.0
+    np.testing.assert_array_equal(drawn_times(t), t)
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ from jaxtyping import Float
 
 from vehicle_sbi.report.page.thinning import Thinned, thinned
 
-VALUES = 200_000  # of all curves of a chart: 1.1 MB on the page
+VALUES = 200_000  # of all curves of a chart: 1.1 MB on the page, 1.6 where there is but one curve
 PANEL_PX, AXIS_PX = 165, 44  # height of a panel, and what the time axis adds to the last one
 LEFT_PX = 52  # beside every panel, so that their times lie below each other
 NAMED = 6  # recordings whose names are written where they begin, at most
@@ -72,12 +72,10 @@ class Series:
 def chart(series: Series, labels: Mapping[str, str]) -> tuple[GridPlot, int]:
     """The panels one below the other, and of how many samples each pair of points is the least and the largest.
 
-    `labels` says what each curve is.
+    `labels` says what each curve is. Times keep every digit: those of a clock since 1970 are too long for 32 bits.
     """
     points = series.thinned
-    source = ColumnDataSource(
-        {"t": points.t.astype(np.float32), **{k: y.astype(np.float32) for k, y in points.curves.items()}}
-    )
+    source = ColumnDataSource({"t": points.t, **{k: y.astype(np.float32) for k, y in points.curves.items()}})
     span = time_range(series.t)
     panels = [_panel(series, source, i, labels, span) for i in range(len(series.channels))]
     grid = gridplot(
