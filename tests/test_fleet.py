@@ -89,6 +89,24 @@ def test_a_subfolder_is_a_vehicle_and_so_is_a_file(tmp_path: Path) -> None:
     assert [path.name for path in d.recordings] == ["bag"]
 
 
+def test_what_describes_a_folder_is_no_recording(tmp_path: Path) -> None:
+    touched(tmp_path, "README.txt", "LICENSE.csv", "a/1.csv", "a/ReadMe.csv", "a/README_first.txt", "b/README.csv")
+    for name in ("notes.txt", "a/notes.txt", "c/notes.txt"):
+        (touched(tmp_path, name) / name).write_text("Recorded in May, at 30 degrees.\nTyres: 2.2 bar, new\n")
+    rows = "".join(f"{k / 100};0,1;12,5\n" for k in range(3))
+    (tmp_path / "a" / "2.txt").write_text(f"Logger 3, of 12\n{'about, this' * 50}\nZeit;Lenkung;v\n{rows}")
+    (tmp_path / "a" / "3.txt").symlink_to(tmp_path / "none.txt")
+    (a,) = members(tmp_path)
+    assert [path.name for path in a.recordings] == ["1.csv", "2.txt", "3.txt"]  # of the last its reader says why
+
+
+def test_a_folder_that_is_read_as_one_is_a_recording(tmp_path: Path) -> None:
+    touched(tmp_path, "a/bag/metadata.yaml", "a/segment/CAN/speed/t", "a/other/b", "c/IMU/accelerometer/t")
+    a, c = members(tmp_path)
+    assert [path.name for path in a.recordings] == ["bag", "segment"]
+    assert c.recordings == (tmp_path / "c",)
+
+
 def test_a_vehicle_may_have_options_of_its_own(tmp_path: Path) -> None:
     touched(tmp_path, "a/1.csv", "b.csv")
     (tmp_path / "a" / "options.yaml").write_text("- window_s=5\n- recording.drive=torque\n")

@@ -4,18 +4,24 @@ FOLDER/NAME/*.csv …          recordings of the vehicle NAME, those in FOLDER/N
 FOLDER/NAME.csv              one recording of the vehicle NAME
 vehicle.yaml, mapping.yaml   in a subfolder its own, in FOLDER those of all that have none
 NAME.vehicle.yaml, NAME.mapping.yaml   of a single file, as `inspect` writes them
+
+What describes a folder is no recording: README and LICENSE of any suffix, and a .txt without a row of numbers.
 """
 
+import re
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from vehicle_sbi import plain_yaml
-from vehicle_sbi.data.formats.registry import FORMATS
+from vehicle_sbi.data.formats.registry import FORMATS, format_of
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.quoting import quoted
 
 HELD_OUT = "heldout"
 DESCRIBED = ("vehicle", "mapping", "options")  # by a file of each
+DESCRIBING = ("README", "LICENSE")  # what the names of files begin with that are no recordings
+FIRST_LINES = 200  # of a .txt, among which a recording has numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +93,38 @@ def _options(file: Path | None) -> tuple[str, ...]:
 
 
 def _is_recording(path: Path) -> bool:
-    """Whether a file is of a known format, or a folder a rosbag2."""
-    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in FORMATS
+    """Whether a file is of a known format and holds more than words, or a folder is of one."""
+    if path.is_dir():
+        return _is_read(path)
+    if path.suffix.lower() not in FORMATS or path.name.upper().startswith(DESCRIBING):
+        return False
+    return path.suffix.lower() != ".txt" or _has_numbers(path)
+
+
+def _is_read(folder: Path) -> bool:
+    """Whether a folder itself is what a reader takes."""
+    try:
+        format_of(folder)
+    except InputError:
+        return False
+    return True
+
+
+def _has_numbers(path: Path) -> bool:
+    """Whether one of the first rows of a text has two or more numbers between its separators."""
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return any(sum(map(_is_number, re.split(r"[,;\t]", row))) >= 2 for row in islice(file, FIRST_LINES))
+    except OSError:
+        return True  # its reader says why it cannot be read
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field.strip(' "\n'))
+    except ValueError:
+        return False
+    return True
 
 
 def _recordings(folder: Path) -> tuple[Path, ...]:
