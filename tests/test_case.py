@@ -24,6 +24,12 @@ from vehicle_sbi.physics.single_track import INPUTS
 PRIOR = {"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3], "delta_C_alpha_r": [-0.3, 0.3]}
 
 
+# The mapping of a native file, as a user writes it down.
+NATIVE = "".join(
+    f"{name}: {{column: {CHANNELS[name].column}}}\n" for name in ("steering", "v_x", "a_x", "a_y", "yaw_rate")
+)
+
+
 def written(path: Path, seed: int, **effects: float) -> Path:
     """A native file of the shared drive, with effects if there are any."""
     sim = lateral()

@@ -16,8 +16,8 @@ import pytest
 import yaml
 from cars import PAPER
 from conftest import ROOT
-from test_case import written
-from test_run_script import ENVIRONMENT
+from test_case import NATIVE, written
+from test_run_script import ENVIRONMENT, killed, vehicle
 from test_run_script import run as infer
 from test_stage_file import Trap, write
 
@@ -236,6 +236,22 @@ def test_a_diagnosis_that_was_interrupted_goes_on(run: Path, tmp_path: Path) -> 
     status, _, err = goes_on(folder)
     assert status == 0, err
     assert (folder / "verdict.json").read_text() == answer
+
+
+def test_the_same_command_after_an_edit_of_vehicle_or_mapping_gets_one_line(files: Path, tmp_path: Path) -> None:
+    folder, car, mapping = tmp_path / "run", vehicle(tmp_path), tmp_path / "a.mapping.yaml"
+    mapping.write_text(NATIVE)
+    words = [f"recordings=[{files}/a.csv]", f"mapping={mapping}", f"vehicle={car}", *BASE[1:]]
+    killed(folder, "manifest.json", words, "diagnose")
+    assert {str(car), str(mapping)} < manifests.read(folder)["inputs"].keys()
+    for file in (car, mapping):
+        before = file.read_text()
+        file.write_text(f"{before}# edited\n")
+        status, out, err = diagnose(*words, f"hydra.run.dir={folder}")
+        file.write_text(before)
+        since = "other input files, or of files that have changed since"
+        assert (status, out) == (2, "")
+        assert err == f"error: {folder} holds a run of {since} (differs in {file}); choose another hydra.run.dir\n"
 
 
 def test_every_stage_that_was_kept_is_written_again_as_it_was_read(run: Path, tmp_path: Path) -> None:

@@ -23,9 +23,9 @@ INHERITED = {key: value for key, value in os.environ.items() if key != "HYDRA_FU
 ENVIRONMENT = INHERITED | {"NUMBA_NUM_THREADS": "1"}
 
 
-def started(arguments: Sequence[str], **settings: Any) -> subprocess.Popen[str]:
+def started(arguments: Sequence[str], script: str = "run", **settings: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "scripts/run.py", *arguments],
+        [sys.executable, f"scripts/{script}.py", *arguments],
         cwd=ROOT,
         env=ENVIRONMENT,
         stdout=subprocess.PIPE,
@@ -41,9 +41,9 @@ def run(*arguments: str, **settings: Any) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
-def killed(folder: Path, at: str) -> None:
-    """Start the quick study in `folder` and kill it, without any warning, when `at` appears there."""
-    process = started([*QUICK, f"hydra.run.dir={folder}"])
+def killed(folder: Path, at: str, words: Sequence[str] = QUICK, script: str = "run") -> None:
+    """Start a script, or the quick study, in `folder` and kill it, without any warning, when `at` appears there."""
+    process = started([*words, f"hydra.run.dir={folder}"], script)
     deadline = time.monotonic() + 120
     while not (folder / at).exists():
         assert process.poll() is None, f"ended before {at}: {process.communicate()}"
