@@ -14,20 +14,18 @@ import pandas as pd
 import psutil
 import pytest
 from conftest import ROOT
-from test_case import written
+from test_case import NATIVE, written
 from test_run_script import ENVIRONMENT
+from test_run_script import vehicle as car_file
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.fleet.attended import attended
-from vehicle_sbi.fleet.diagnoses import Job, diagnosed
+from vehicle_sbi.fleet.diagnoses import Job, Outcome, diagnosed
 from vehicle_sbi.fleet.engine import Engine, Function, each
 from vehicle_sbi.fleet.vehicles import members
 from vehicle_sbi.report import manifest
 
-OPTIONS = (
-    'options=["vehicle=paper","recording.drive=speed","recording.channels=[a_x,a_y,yaw_rate]",'
-    '"++prior.steering_ratio.gain=null"]'
-)
+OPTIONS = 'options=["recording.drive=speed","recording.channels=[a_x,a_y,yaw_rate]","++prior.steering_ratio.gain=null"]'
 
 
 def command(*arguments: str) -> list[str]:
@@ -41,12 +39,14 @@ def fleet(*arguments: str) -> tuple[int, str, str]:
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two cars: one with roll and a recording held out, one a single file."""
+    """Two cars of one vehicle file: one with roll and a recording held out, one a single file with a mapping."""
     folder = tmp_path_factory.mktemp("fleet") / "recordings"
     (folder / "rolls" / "heldout").mkdir(parents=True)
     written(folder / "rolls" / "a.csv", 0, body_roll__gradient=0.012)
     written(folder / "rolls" / "heldout" / "b.csv", 1, body_roll__gradient=0.012)
     written(folder / "stiff.csv", 2)
+    (folder / "stiff.mapping.yaml").write_text(NATIVE)
+    car_file(folder).rename(folder / "vehicle.yaml")
     return folder
 
 
@@ -170,6 +170,65 @@ def test_what_another_version_has_answered_is_said(tmp_path: Path, code: str, sa
     assert found.answered
     assert found.reason.startswith(said)
     assert bool(found.reason) == bool(said)
+
+
+def test_what_stands_with_a_vehicle_file_and_a_mapping_is_found_so(recordings: Path, alone: Path) -> None:
+    for member in members(recordings):
+        account = json.loads((alone / f"{member.name}.json").read_text())
+        options = tuple(account["words"][len(member.words) : -1])
+        inputs = manifest.read(alone / member.name)["inputs"]
+        assert {str(file) for file in (member.vehicle, member.mapping) if file is not None} < inputs.keys()
+        job = Job(member=member, folder=alone / member.name, script=Path("none.py"), options=options)
+        assert diagnosed(job) == Outcome(True, "", account["seconds"])
+
+
+FAKE = """
+import sys
+from pathlib import Path
+
+from vehicle_sbi.files import sha256
+from vehicle_sbi.quoting import unquoted
+from vehicle_sbi.report.run_folder import RunFolder
+
+words = dict(word.split("=", 1) for word in sys.argv[1:])
+files = [words["vehicle"], words["mapping"]]
+folder = Path(unquoted(words["hydra.run.dir"]))
+with RunFolder.open(folder, config={}, overrides=[], inputs={one: sha256(Path(one)) for one in files}) as run:
+    (folder / "verdict.json").write_text(" ".join(Path(one).read_text() for one in files))
+    run.complete()
+"""
+
+
+@pytest.mark.parametrize("name", ["vehicle", "mapping"])
+@pytest.mark.parametrize("was_killed", [False, True])
+def test_a_vehicle_is_done_anew_when_one_of_its_files_is_edited(tmp_path: Path, name: str, was_killed: bool) -> None:
+    """By a script that keeps a run folder as a diagnosis does, and answers with the text of its files."""
+    script, folder = tmp_path / "fake.py", tmp_path / "out" / "a"
+    script.write_text(FAKE)
+    for file in ("vehicle", "mapping"):
+        touched(tmp_path, "fleet/a.csv", f"fleet/a.{file}.yaml")
+        (tmp_path / "fleet" / f"a.{file}.yaml").write_text(file)
+    (member,) = members(tmp_path / "fleet")
+    job = Job(member=member, folder=folder, script=script)
+    folder.parent.mkdir()
+    assert diagnosed(job).answered
+    if was_killed:
+        job.account.unlink()
+    (folder / "old").touch()
+    (tmp_path / "fleet" / f"a.{name}.yaml").write_text("edited")
+    assert diagnosed(job).reason == ""
+    assert (folder / "verdict.json").read_text() == "vehicle mapping".replace(name, "edited")
+    assert not (folder / "old").exists()
+
+
+def test_a_file_that_is_gone_for_now_removes_no_result(tmp_path: Path) -> None:
+    (member,) = members(touched(tmp_path, "a.csv"))
+    job = Job(member=member, folder=tmp_path / "out" / "a", script=tmp_path / "none.py")
+    made = manifest.described(config={}, overrides=[], inputs={str(tmp_path / "gone.dbc"): ""}, choices={})
+    touched(tmp_path, "out/a/verdict.json")
+    manifest.write(job.folder, made | {"status": "complete"})
+    assert not diagnosed(job).answered
+    assert (job.folder / "verdict.json").exists()
 
 
 def test_a_vehicle_that_fails_costs_its_own_row_alone(recordings: Path, tmp_path: Path, alone: Path) -> None:

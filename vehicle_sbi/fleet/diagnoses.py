@@ -1,6 +1,7 @@
 """A diagnosis for each vehicle of a fleet, each in the run folder that the same words would give it alone."""
 
 import json
+import shutil
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -52,9 +53,14 @@ class Outcome:
 
 
 def diagnosed(job: Job) -> Outcome:
-    """The diagnosis, unless it stands already: asked with the same words, of files that have not changed since."""
+    """The diagnosis, unless it stands already: asked with the same words, of files that have not changed since.
+
+    Where one of its files has changed, what stands in its folder is of no use, and is removed.
+    """
     if (known := _standing(job)) is not None:
         return known
+    if _outdated(job):
+        shutil.rmtree(job.folder)
     begun = time.monotonic()
     status = attended(job.script, job.words, job.log, job.timeout_s)
     answered = status == 0 and (job.folder / VERDICT).is_file()
@@ -88,6 +94,19 @@ def _standing(job: Job) -> Outcome | None:
     except (OSError, ValueError, LookupError, TypeError, InputError):
         pass
     return None
+
+
+def _outdated(job: Job) -> bool:
+    """Whether the folder holds a run, asked with the same words, of files that have changed since.
+
+    One that was killed has left no account of its words. A file that is gone for now changes nothing.
+    """
+    try:
+        asked = json.loads(job.account.read_bytes())["words"] if job.account.exists() else job.words
+        inputs = {Path(file): sealed for file, sealed in manifest.read(job.folder)["inputs"].items()}
+        return asked == job.words and any(one.exists() and not manifest.intact(one, inputs[one]) for one in inputs)
+    except (OSError, ValueError, LookupError, TypeError, InputError):
+        return False
 
 
 def _reason(log: Path) -> str:
