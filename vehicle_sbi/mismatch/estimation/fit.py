@@ -228,7 +228,7 @@ class Fit:
 
     @property
     def precision(self) -> Float[np.ndarray, "d d"]:
-        """Of the parameters in standard deviations of their boxes, under a normal prior as wide as the box, or as narrow
+        """Of the parameters in standard deviations of their boxes, under a normal prior as wide as these, or as narrow
         as shrinkage."""
         pull = np.ones(len(self.theta)) if self.shrinkage is None else np.maximum(self.shrinkage.precision, 1.0)
         return self.information + np.diag(pull)
