@@ -69,7 +69,7 @@ def test_the_likeliest_initial_states_are_those_of_the_dense_problem() -> None:
 def test_one_difference_moves_the_initial_states_of_all_windows() -> None:
     # Against one central difference a window; one-sided ones are off by half a step's curvature.
     sim = lateral(known_start=False)
-    two = {name: np.repeat(getattr(sim.windows, name), 2, axis=0) for name in ("u", "x0", "t")}
+    two = {name: np.repeat(getattr(sim.windows, name), 2, axis=0) for name in ("u", "before", "x0", "t")}
     tiled = {name: np.tile(getattr(sim.windows, name), 2) for name in ("y", "valid")}
     sim = replace(sim, windows=replace(sim.windows, **two, **tiled))
     at, whole = linearise(sim, TRUTH), sensitivity(sim, TRUTH)

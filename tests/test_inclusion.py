@@ -131,7 +131,8 @@ def distance(draws: np.ndarray, density: Callable[[np.ndarray], np.ndarray], *, 
 def test_a_coefficient_in_a_slab_is_drawn_by_its_square_on_its_side_of_zero(mean: float, std: float, sign: int) -> None:
     draws = np.array([_off_zero(mean, std, sign) for _ in range(N)])
     law = lambda x: x**2 * norm.pdf(x, mean, std) * (sign * x >= 0.0)  # noqa: E731
-    assert distance(draws, law, within=(mean - 9.0 * std - 2.0, mean + 9.0 * std + 2.0)) < CRITICAL
+    reach = abs(mean) + 9.0 * std
+    assert distance(draws, law, within=(-reach, reach)) < CRITICAL
 
 
 @pytest.mark.parametrize(

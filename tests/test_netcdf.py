@@ -82,7 +82,7 @@ def pruned() -> Pruned:
     expansion = Expansion(base.simulator.space.parameters, sizes, shapes, np.ones(2), np.full(2, 0.1))
     sim = replace(base.simulator, space=expansion.space)
     fit = replace(base, observation=replace(base.observation, simulator=sim))
-    rng, inside = np.random.default_rng(1), np.zeros(len(expansion.space))
+    rng, inside = np.random.default_rng(1), np.zeros((2, len(expansion.space)))
     included, unexplained = rng.random((N, 2)) < 0.5, rng.random(N) < 0.2
     return Pruned(expansion, uniform(expansion.space), included, unexplained, inside, np.array([True, False]), fit, [])
 
@@ -183,7 +183,7 @@ def test_a_diagnosis_to_which_no_effect_is_known_has_draws_too(pruned: Pruned, t
         pruned.theta[:, : len(base)],
         np.zeros((N, 0), dtype=bool),
         pruned.unexplained,
-        np.zeros(len(base)),
+        np.zeros((2, len(base))),
         np.zeros(0, dtype=bool),
         fit,
         [],

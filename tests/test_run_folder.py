@@ -172,7 +172,7 @@ def test_what_a_killed_write_left_is_removed(tmp_path: Path) -> None:
     [
         ({"config": {**CONFIG, "seed": 4}}, r"configuration \(differs in seed\)"),
         ({"config": {**CONFIG, "prior": {}, "noise": "paper"}}, r"configuration \(differs in noise, prior\)"),
-        ({"inputs": {"drive.csv": "b" * 64}}, r"input files \(differs in drive.csv\)"),
+        ({"inputs": {"drive.csv": "b" * 64}}, r"files that have changed since \(differs in drive.csv\)"),
     ],
 )
 def test_another_run_is_refused_and_changes_nothing(tmp_path: Path, changes: dict, named: str) -> None:

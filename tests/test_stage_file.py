@@ -51,7 +51,7 @@ def a_fit(windows: int = 1) -> Fit:
     """At the truth, of as many windows."""
     observation = recorded(lateral())
     there = observation.simulator.windows
-    many = {name: np.concatenate([getattr(there, name)] * windows) for name in ("u", "x0", "t")}
+    many = {name: np.concatenate([getattr(there, name)] * windows) for name in ("u", "before", "x0", "t")}
     many |= {name: np.tile(getattr(there, name), windows) for name in ("y", "valid")}
     simulator = replace(observation.simulator, windows=replace(there, **many))
     observation = replace(observation, simulator=simulator, observed=np.tile(observation.observed, windows))

@@ -137,12 +137,15 @@ def test_estimates_are_those_of_the_posterior_where_a_model_was_inferred(base: F
 
 
 def test_base_parameters_that_would_leave_their_prior_are_spoken_of(pruned: Pruned) -> None:
-    beyond = np.zeros(len(pruned.beyond))
-    beyond[pruned.fit.simulator.space.column("l_f")] = 0.6
-    said = _unknown(replace(pruned, beyond=beyond, remainders=[]))
-    assert said is not None
-    assert [*said.beyond_prior[0].parameters] == ["l_f"]
-    assert said.over_time is None
+    l_f = pruned.expansion.base[pruned.fit.simulator.space.column("l_f")]
+    for side, bound in enumerate((l_f.low, l_f.high)):
+        beyond = np.zeros_like(pruned.beyond)
+        beyond[side, pruned.fit.simulator.space.column("l_f")] = 0.6
+        said = _unknown(replace(pruned, beyond=beyond, remainders=[]))
+        assert said is not None
+        assert [*said.beyond_prior[0].parameters] == ["l_f"]
+        assert said.beyond_prior[0].bound == {"l_f": bound}
+        assert said.over_time is None
 
 
 def test_where_nothing_is_missing_it_is_said_which_effects_would_have_shown() -> None:

@@ -98,9 +98,11 @@ def test_an_extended_model_whose_set_is_one_of_many_comes_with_its_probability(p
 def test_something_unknown_that_no_force_or_sensor_shows_has_its_line(p_unknown: float, said: str) -> None:
     answer: Any = SimpleNamespace(unknown=None, p_unknown=p_unknown)
     assert _left(answer) == said
-    answer.unknown = Unknown((), [], [Outgrown({"mu": HALF}, {"mu": (0.3, 1.2)}, (), 0.6)], None)
-    assert [*_shown(answer)] == [said] * bool(said)
-    assert "mu would leave the prior" in _left(answer)
+    for bound, longer in ((0.3, "[0.15,1.2]"), (1.2, "[0.3,1.5]")):
+        answer.unknown = Unknown((), [], [Outgrown({"mu": HALF}, {"mu": (0.3, 1.2)}, (), 0.6, {"mu": bound})], None)
+        assert [*_shown(answer)] == [said] * bool(said)
+        assert "mu would leave the prior" in _left(answer)
+        assert f"'+prior.mu={longer}'" in _left(answer)
 
 
 def test_a_parameter_at_a_bound_comes_with_the_words_that_widen_its_box() -> None:

@@ -52,7 +52,6 @@ def recording(name: str, plan: drives.Plan, series: Series, given: Given, added:
         valid={n: np.ones(len(plan.t), dtype=bool) for n in channels},
         groups={},
         source=name,
-        sha256="",
     )
 
 

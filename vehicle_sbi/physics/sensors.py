@@ -135,10 +135,9 @@ def measure(p, motion, t, rate: float, y) -> None:
             p, a_x, a_y, roll_rate, pitch_rate, r, motion[k, P_DOT], motion[k, Q_DOT], motion[k, R_DOT]
         )
         f_x, f_y, f_z = f_x + g_x, f_y + g_y, f_z + math.sqrt(GRAVITY * GRAVITY - g_x * g_x - g_y * g_y)
-        roll, pitch = motion[k, ROLL] + lean, motion[k, PITCH] + dive
-        f_x, f_y, f_z = tilted(f_x, f_y, f_z, roll, pitch)
+        f_x, f_y, f_z = tilted(f_x, f_y, f_z, motion[k, ROLL] + lean, motion[k, PITCH] + dive)
         f_x, f_y, f_z = imu_misalignment(p, f_x, f_y, f_z)
-        w_x, w_y, w_z = tilted(0.0, 0.0, r, roll, pitch)
+        w_x, w_y, w_z = tilted(0.0, 0.0, r, motion[k, ROLL], motion[k, PITCH])
         w_x, w_y, w_z = imu_misalignment(p, w_x + roll_rate, w_y + pitch_rate, w_z)
         f_x, f_y, f_z = accelerometer_scale(p, f_x, f_y, f_z)
         y[0, k], y[1, k] = accelerometer_bias(p, f_x, f_y)

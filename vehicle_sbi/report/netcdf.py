@@ -192,14 +192,20 @@ def _of_effect(pruned: "Pruned", p: Parameter) -> dict[str, Any]:
     return {
         "role": "size" if p in pruned.expansion.sizes else "shape",
         "inclusion_probability": float(_included(pruned, p).mean()),
-        "effect_probability": float(pruned.away(p.name.split(".")[0]).mean()),
+        "effect_probability": float(_there(pruned, p).mean()),
     }
 
 
 def _included(pruned: "Pruned", p: Parameter) -> np.ndarray:
     """In which draws a size is away from its null; of what only shapes an effect, in which that is missing."""
     sizes = [size.name for size in pruned.expansion.sizes]
-    return pruned.included[:, sizes.index(p.name)] if p.name in sizes else pruned.away(p.name.split(".")[0])
+    return pruned.included[:, sizes.index(p.name)] if p.name in sizes else _there(pruned, p)
+
+
+def _there(pruned: "Pruned", p: Parameter) -> np.ndarray:
+    """In which draws the effect of a parameter is missing, by sizes that show if it has any."""
+    effect = p.name.split(".")[0]
+    return pruned.missing[effect] if effect in pruned.missing else pruned.away(effect)
 
 
 def _present(pruned: "Pruned") -> "xr.Dataset":
