@@ -103,7 +103,7 @@ def test_the_draws_are_those_that_the_verdict_speaks_of(run: Path) -> None:
         assert draws[name].std(ddof=0) == pytest.approx(one["after"]["std"], rel=1e-9)
     away = draws.notna().T.groupby(lambda name: name.split(".")[0]).any().T.mean()
     with xr.open_datatree(run / "posterior.nc", engine="h5netcdf") as tree:
-        stated = [(name.split(".")[0], one.attrs) for name, one in tree["posterior"].data_vars.items()]
+        stated = [(str(name).split(".")[0], one.attrs) for name, one in tree["posterior"].data_vars.items()]
     said = {effect: attrs["effect_probability"] for effect, attrs in stated if "effect_probability" in attrs}
     assert {name: said[name] for name in verdict["effects"]} == pytest.approx(verdict["effects"])
     for name, probability in verdict["effects"].items():
