@@ -7,8 +7,9 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 from test_effect_prior import stated
 
-from vehicle_sbi.inference.directions import left_out, null
+from vehicle_sbi.inference.directions import directions, left_out, null
 from vehicle_sbi.inference.information import PLAIN, SEEN
+from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
 from vehicle_sbi.mismatch.estimation.fit import STEP, Fit, linearise
 from vehicle_sbi.mismatch.estimation.linear_gaussian import (
@@ -35,6 +36,7 @@ from vehicle_sbi.mismatch.selection.gibbs import started
 from vehicle_sbi.mismatch.selection.inclusion import Chain
 from vehicle_sbi.mismatch.selection.pruned import Pruned, folded
 from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.physics.effects import CATALOGUE
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
 
@@ -68,6 +70,24 @@ def pruned(base: Fit) -> Pruned:
     found = expand_and_prune(base, known, None, prior=stated(), rng=np.random.default_rng(0), budget=SHORT)
     assert found is not None
     return found
+
+
+@pytest.mark.parametrize("grade", [0.001, 0.003])
+def test_what_happened_in_the_fitted_recording_is_in_no_derivative_of_another(grade: float) -> None:
+    # A gyro does not see the road's grade, whose profile is tied to the clock of the recording it was fitted to.
+    base = fitted(recorded(lateral(seconds=10.0)))
+    names = ("gyro_bias", "road_grade_profile")
+    known = [d for name in names for d in directions(base.simulator, base.theta, CATALOGUE[name])]
+    expansion = Expansion.of(base.simulator.space, known, stated())
+    theta, bias = expansion.rest.copy(), expansion.space.column("gyro_bias.z")
+    theta[: len(base.theta)] = base.theta
+    theta[bias] = 0.15 * expansion.unit[bias]
+    theta[[k for k, name in enumerate(expansion.space.names) if name.startswith("road_grade_profile")]] = grade
+    observation = base.observation.freeing(expansion.space.parameters)
+    fit = Fit(observation, theta, linearise(observation.simulator, theta))
+    there = elsewhere(fit, recorded(lateral(seconds=10.0), seed=5), apart=True)
+    slope, secant = there.white[bias], to_nulls(expansion, [fit, there])[1].white[bias]
+    assert slope @ secant > 0.999 * np.linalg.norm(slope) * np.linalg.norm(secant)
 
 
 def test_draws_beyond_a_bound_keep_their_spread_within_it() -> None:

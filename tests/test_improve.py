@@ -139,6 +139,17 @@ def test_what_a_fit_leaves_over_where_it_was_not_fitted_is_noise_there() -> None
     np.testing.assert_array_equal(under_own_noise(unlike).theta, fit.theta)
 
 
+def test_a_channel_that_drops_out_elsewhere_keeps_its_noise() -> None:
+    fit = fitted(recorded(lateral()))
+    there = elsewhere(fit, recorded(lateral(), seed=2), apart=True)
+    windows = there.simulator.windows
+    valid = windows.valid.copy()
+    valid[0] = False
+    simulator = replace(there.simulator, windows=replace(windows, valid=valid))
+    silent = replace(there, observation=there.observation.extended(simulator))
+    assert under_own_noise(silent).simulator.noise.floor[0] == fit.simulator.noise.floor[0]
+
+
 def test_what_cannot_be_simulated_is_not_predicted() -> None:
     fit, held = fitted(recorded(lateral())), recorded(lateral())
     u = held.simulator.windows.u.copy()

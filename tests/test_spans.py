@@ -5,12 +5,29 @@ import pytest
 from recorded import fitted, lateral, recorded
 from test_effect_prior import stated
 
-from vehicle_sbi.inference.directions import directions, tile
+from vehicle_sbi.inference.directions import directions, shapes, tile
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import descend
 from vehicle_sbi.mismatch.hypotheses.spans import likeliest_spans
 from vehicle_sbi.physics.effects import CATALOGUE
+
+
+def test_the_likeliest_span_weighs_what_all_spans_weigh_together() -> None:
+    # About a fit to noise alone hardly any span is likelier than others; one in which it blew is, by far.
+    shares = []
+    for force in (0.0, 600.0):
+        effects = {"gust__force": force, "gust__arm": 0.3, "gust__start": 8.0, "gust__duration": 4.0} if force else {}
+        fit = fitted(recorded(lateral(seconds=20.0), **effects))
+        known = directions(fit.simulator, fit.theta, CATALOGUE["gust"])
+        (found,) = likeliest_spans(fit, known)
+        expansion = Expansion.of(fit.simulator.space, known, stated(), [found])
+        names = [p.name for p in expansion.sizes]
+        assert expansion.rates[names.index("gust.force")] == stated().rate_of(found.parameter) * found.share
+        tried = len(shapes(fit.simulator, known[0]))
+        assert 1.0 / tried <= found.share < 1.0
+        shares.append(found.share * tried)
+    assert shares[1] < 3.0 < shares[0]
 
 
 @pytest.mark.parametrize(("start", "duration"), [(3.0, 2.0), (8.0, 4.0)])
