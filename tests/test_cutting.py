@@ -57,6 +57,14 @@ def test_a_window_knows_the_commands_before_it():
         np.testing.assert_array_equal(before, whole[np.maximum(np.arange(start - earlier, start), 0)])
 
 
+def test_a_window_knows_commands_that_are_masked():
+    # What is held out are measurements; what was steered meanwhile is known.
+    rec = recording(steering=0.05 * np.sin(np.arange(2000) / RATE))
+    whole, later = in_windows(rec, warmup_s=0.0), in_windows(rec.masked(rec.t >= 10.0, "later"), warmup_s=0.0)
+    assert later.t[0, 0] == whole.t[2, 0]
+    np.testing.assert_allclose(later.before, whole.before[2:], rtol=0.0, atol=1e-12)
+
+
 def test_where_the_commands_before_a_window_are_absent_it_takes_the_next():
     steering = 0.05 * np.sin(np.arange(2000) / RATE)
     steering[350:420] = np.nan

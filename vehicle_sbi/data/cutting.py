@@ -47,8 +47,9 @@ def cut(
     Windows never span absent inputs, speeds below `v_min` [m/s] or, where torque drives, braking (no brake
     torque is recorded). What is left of a stretch is padded to a window if it is at least half of one, else
     dropped. The first `warmup_s` [s] of each window, the transient of an initial state that is known only roughly,
-    is not fitted. The initial state is the smoothed measurement, its standard deviation the spread around it;
-    v_x comes from the rear wheels and `wheel_radius` [m] where it is not recorded, and v_y is then 0.
+    is not fitted. A window knows the commands of REMEMBERED_S before it, masked or not. The initial state is the
+    smoothed measurement, its standard deviation the spread around it; v_x comes from the rear wheels and
+    `wheel_radius` [m] where it is not recorded, and v_y is then 0.
     Raises InputError for a channel that is missing or an input itself, and where no window remains.
     """
     n, warmup = round(length_s * recording.rate), round(warmup_s * recording.rate)
@@ -57,6 +58,7 @@ def cut(
             f"{recording.source}: windows of {length_s:g} s need a warm-up shorter than that, not {warmup_s:g} s"
         )
     inputs, held = _inputs(recording, drive, steering_ratio)
+    whole = inputs if recording.unmasked is None else _inputs(recording.unmasked, drive, steering_ratio)[0]
     y, measured = _measurements(recording, channels, drive)
     state, state_std = _initial_states(recording, wheel_radius)
     usable, notes = _usable(recording, inputs, drive, state[:, 0], v_min, start_s, stop_s)
@@ -74,7 +76,7 @@ def cut(
     return Windows(
         rate=recording.rate,
         u=_held_inputs(inputs, index, real),
-        before=_before(inputs, index[:, 0], round(REMEMBERED_S * recording.rate)),
+        before=_before(whole, index[:, 0], round(REMEMBERED_S * recording.rate)),
         y=y.reshape(len(channels), -1),
         valid=(to_fit & np.isfinite(y)).reshape(len(channels), -1),
         x0=state[index[:, 0]],

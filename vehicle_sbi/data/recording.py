@@ -21,6 +21,7 @@ class Recording:
     """Channels on a uniform grid `t` [s] at `rate` [Hz]; `notes` lists what was filled, left out, resampled, flagged.
 
     `warnings` says what the drive contradicts: signs, units, axes, offsets.
+    `unmasked` is the recording before parts of it were made absent, None if none were.
     `source` names the files it was read from; `files` has the SHA-256 of each, `mappings` those of the files that say
     what columns mean. Raises InputError for a channel that is not in `CHANNELS`.
     """
@@ -36,6 +37,7 @@ class Recording:
     mappings: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    unmasked: "Recording | None" = None
 
     def __post_init__(self) -> None:
         for name in self.channels:
@@ -78,6 +80,7 @@ class Recording:
             channels={name: np.where(keep, values, np.nan) for name, values in self.channels.items()},
             valid={name: valid & keep for name, valid in self.valid.items()},
             notes=(*self.notes, note),
+            unmasked=self.unmasked or self,
         )
 
     @property
