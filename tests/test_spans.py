@@ -17,8 +17,8 @@ def test_the_likeliest_span_weighs_what_all_spans_weigh_together() -> None:
     # About a fit to noise alone hardly any span is likelier than others; one in which it blew is, by far.
     shares = []
     for force in (0.0, 600.0):
-        effects = {"gust__force": force, "gust__arm": 0.3, "gust__start": 8.0, "gust__duration": 4.0} if force else {}
-        fit = fitted(recorded(lateral(seconds=20.0), **effects))
+        sim = lateral(seconds=20.0)
+        fit = fitted(recorded(sim, gust__force=force, gust__arm=0.3, gust__start=8.0, gust__duration=4.0))
         known = directions(fit.simulator, fit.theta, CATALOGUE["gust"])
         (found,) = likeliest_spans(fit, known)
         expansion = Expansion.of(fit.simulator.space, known, stated(), [found])
