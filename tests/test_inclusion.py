@@ -130,7 +130,10 @@ def distance(draws: np.ndarray, density: Callable[[np.ndarray], np.ndarray], *, 
 @pytest.mark.parametrize(("mean", "std"), [(0.0, 1.0), (0.5, 0.3), (-0.5, 0.3), (2.0, 0.5), (-3.0, 0.5), (6.0, 0.3)])
 def test_a_coefficient_in_a_slab_is_drawn_by_its_square_on_its_side_of_zero(mean: float, std: float, sign: int) -> None:
     draws = np.array([_off_zero(mean, std, sign) for _ in range(N)])
-    law = lambda x: x**2 * norm.pdf(x, mean, std) * (sign * x >= 0.0)  # noqa: E731
+
+    def law(x: np.ndarray) -> np.ndarray:
+        return x**2 * norm.pdf(x, mean, std) * (sign * x >= 0.0)
+
     reach = abs(mean) + 9.0 * std
     assert distance(draws, law, within=(-reach, reach)) < CRITICAL
 
@@ -140,7 +143,10 @@ def test_a_coefficient_in_a_slab_is_drawn_by_its_square_on_its_side_of_zero(mean
 )
 def test_a_base_parameter_is_drawn_within_its_box_unless_the_box_is_wrong(mean: float, std: float) -> None:
     draws = np.array([_mostly_within(mean, std, -1.5, 1.0, 0.05) for _ in range(N)])
-    law = lambda x: norm.pdf(x, mean, std) * np.where((x > -1.5) & (x < 1.0), 1.0, 0.05)  # noqa: E731
+
+    def law(x: np.ndarray) -> np.ndarray:
+        return norm.pdf(x, mean, std) * np.where((x > -1.5) & (x < 1.0), 1.0, 0.05)
+
     assert distance(draws, law, within=(mean - 9.0 * std, mean + 9.0 * std)) < CRITICAL
 
 

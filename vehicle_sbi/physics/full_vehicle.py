@@ -259,11 +259,12 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     pitching = rigid_x * (a_x + out.g_x) + car.held_pitch + p.h_pitch * p.pitch_lever * pitch_rate_dot
     centres = rigid_y * (a_y + car.g_y) - p.h_roll * p.roll_lever * roll_rate_dot
     F_z = loads(p, pitching, car.held_roll, centres, out.press_f, out.press_r)
-    straight, pull_f, pull_r = pointing(0.0, 0.0), 0.0, 0.0
+    straight, pull_f, pull_r, free_f, free_r = pointing(0.0, 0.0), 0.0, 0.0, 0.0, 0.0
     if car.drive == SPEED:
         pull_f, pull_r = pulls(p, out, front, a_x)
-    free_f = rolling_freely(p, car.front, front, car.front_left, car.front_right, F_z[0], F_z[1])
-    free_r = rolling_freely(p, car.rear, straight, car.rear_left, car.rear_right, F_z[2], F_z[3])
+    elif car.drive == WHEEL_SPEED:
+        free_f = rolling_freely(p, car.front, front, car.front_left, car.front_right, F_z[0], F_z[1])
+        free_r = rolling_freely(p, car.rear, straight, car.rear_left, car.rear_right, F_z[2], F_z[3])
     fl = contact(p, car, car.front, front, car.front_left, F_z[0], free_f, pull_f)
     fr = contact(p, car, car.front, front, car.front_right, F_z[1], free_f, pull_f)
     rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], free_r, pull_r)
