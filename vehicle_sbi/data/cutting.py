@@ -58,7 +58,7 @@ def cut(
             f"{recording.source}: windows of {length_s:g} s need a warm-up shorter than that, not {warmup_s:g} s"
         )
     inputs, held = _inputs(recording, drive, steering_ratio)
-    whole = inputs if recording.unmasked is None else _inputs(recording.unmasked, drive, steering_ratio)[0]
+    whole = inputs if recording.unmasked is None else _commands(recording.unmasked, drive, steering_ratio, [])
     y, measured = _measurements(recording, channels, drive)
     state, state_std = _initial_states(recording, wheel_radius)
     usable, notes = _usable(recording, inputs, drive, state[:, 0], v_min, start_s, stop_s)
@@ -97,17 +97,25 @@ def _inputs(
     if drive not in NEEDED:
         raise unknown("drive mode", drive, NEEDED, recording.source)
     inputs = {name: recording.required(name, f"drive mode '{drive}'")[0] for name in NEEDED[drive]}
-    steering, notes = _steering(recording, drive, steering_ratio), list[str]()
-    if drive == "torque":
-        inputs["torque_rear"] = recording.channels.get("torque_rear", np.zeros_like(recording.t))
-    else:
-        for name in NEEDED[drive]:
-            inputs[name] = _clean(name, inputs[name], notes)
-            if name == "v_x":
-                inputs["v_x_dot"] = slope(inputs[name], recording.rate, f"{recording.source}: {name}")
-    inputs["steering"] = _clean("steering", steering, notes)
+    notes = list[str]()
+    inputs |= _commands(recording, drive, steering_ratio, notes)
+    for name in NEEDED[drive] if drive != "torque" else ():
+        inputs[name] = _clean(name, inputs[name], notes)
+        if name == "v_x":
+            inputs["v_x_dot"] = slope(inputs[name], recording.rate, f"{recording.source}: {name}")
     inputs["time"] = np.arange(len(recording.t)) / recording.rate
     return inputs, notes
+
+
+def _commands(
+    recording: Recording, drive: str, steering_ratio: float | None, notes: list[str]
+) -> dict[str, Float[np.ndarray, " time"]]:
+    """The steering [rad] at every sample, and the torques [N m] where they drive; `notes` grows."""
+    found = {"steering": _clean("steering", _steering(recording, drive, steering_ratio), notes)}
+    if drive == "torque":
+        none = np.zeros_like(recording.t)
+        found |= {name: recording.channels.get(name, none) for name in ("torque_front", "torque_rear")}
+    return found
 
 
 def _clean(name: str, values: Float[np.ndarray, " time"], notes: list[str]) -> Float[np.ndarray, " time"]:
@@ -238,7 +246,7 @@ def _before(
 ) -> Float[np.ndarray, "windows earlier 3"]:
     """The commands of the samples before each window; where one is absent, as at a recording's start, the next one."""
     index = np.maximum(starts[:, None] - np.arange(earlier, -1, -1), 0)
-    none = np.zeros_like(inputs["time"])
+    none = np.zeros_like(inputs["steering"])
     following = [pd.DataFrame(inputs.get(name, none)[index]).bfill(axis=1).to_numpy() for name in COMMANDS]
     return np.stack(following, axis=-1)[:, :-1]
 
