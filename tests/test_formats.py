@@ -58,8 +58,8 @@ def test_semicolons_and_tabs_separate_too(tmp_path, separator):
 
 
 def test_an_empty_cell_is_absent_and_so_is_infinity(tmp_path):
-    (tmp_path / "drive.csv").write_text("time_s,v_x_mps\n0,1\n1,\n2,inf\n")
-    np.testing.assert_array_equal(only(tmp_path / "drive.csv").numbers("v_x_mps"), [1.0, np.nan, np.nan])
+    (tmp_path / "drive.csv").write_text("time_s,v_x_mps\n0,1\n1,\n2,inf\n3,-\n4,--\n")
+    np.testing.assert_array_equal(only(tmp_path / "drive.csv").numbers("v_x_mps"), [1.0, *4 * [np.nan]])
 
 
 def test_dates_are_no_numbers(tmp_path):
@@ -80,6 +80,7 @@ SINCE_1970 = 1_714_564_800.5 + FRAME["time_s"]  # date -u -d '2024-05-01 12:00:0
 WRITTEN_DATES = {
     "csv": (DATES, ".csv"),
     "csv with T and a comma": (DATES.astype(str).str.replace(" ", "T").str.replace(".", ","), ".csv"),
+    "csv with the day first": (DATES.dt.strftime("%d.%m.%Y %H:%M:%S.%f"), ".csv"),
     "csv of another zone": (DATES.dt.tz_localize("UTC").dt.tz_convert("Asia/Tokyo"), ".csv"),
     "parquet": (DATES, ".parquet"),
     "parquet of another zone": (DATES.dt.tz_localize("UTC").dt.tz_convert("America/New_York"), ".parquet"),
@@ -106,6 +107,28 @@ def test_dates_as_time_are_seconds_since_the_epoch(tmp_path, case):
 def test_durations_as_time_are_seconds(tmp_path):
     FRAME.assign(time_s=pd.to_timedelta(FRAME["time_s"], unit="s")).to_parquet(tmp_path / "drive.parquet")
     np.testing.assert_allclose(RecordingFile(path=tmp_path / "drive.parquet").load().t, FRAME["time_s"], atol=1e-9)
+
+
+def test_times_of_day_are_seconds_also_across_midnight(tmp_path):
+    evening = pd.Timestamp("2024-05-01 23:59:59.8") + pd.to_timedelta(FRAME["time_s"], unit="s")
+    texts = evening.dt.strftime("%H:%M:%S.%f")
+    FRAME.assign(time_s=texts).to_csv(tmp_path / "drive.csv", index=False)
+    since_midnight = FRAME["time_s"] + 86399.8
+    assert since_midnight.max() > 86400.0
+    recording = RecordingFile(path=tmp_path / "drive.csv").load()
+    np.testing.assert_allclose(recording.t, since_midnight, atol=1e-6)
+    texts[7] = "25:61"
+    FRAME.assign(time_s=texts).to_csv(tmp_path / "odd.csv", index=False)
+    with pytest.raises(InputError, match=r"row 9, column 'time_s': '25:61' is no date$"):
+        RecordingFile(path=tmp_path / "odd.csv").load()
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "cp1252"])
+def test_a_text_is_read_in_the_encoding_of_its_writer(tmp_path, encoding):
+    (tmp_path / "drive.csv").write_text("time_s,v_x_mps,Öltemperatur [°C]\n0,1,80\n1,2,81\n", encoding=encoding)
+    table = only(tmp_path / "drive.csv")
+    assert [*table.columns] == ["time_s", "v_x_mps", "Öltemperatur [°C]"]
+    np.testing.assert_array_equal(table.numbers("v_x_mps"), [1.0, 2.0])
 
 
 def test_what_is_no_date_among_dates_is_one_line(tmp_path):

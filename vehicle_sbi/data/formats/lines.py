@@ -1,11 +1,13 @@
 """What every format of text shares: its lines, and rows that must be as wide as their header."""
 
+import codecs
 from collections.abc import Sequence
 from pathlib import Path
 
 from vehicle_sbi.errors import InputError
 
 WINDOWS = "cp1252"  # of western Windows, in which Latin-1 reads alike
+UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE  # what a text of two bytes a letter begins with
 
 
 def text_lines(path: Path, encoding: str) -> list[str]:
@@ -14,6 +16,8 @@ def text_lines(path: Path, encoding: str) -> list[str]:
     What the encoding does not hold is read as that of Windows.
     """
     data = path.read_bytes()
+    if data.startswith(UTF_16):
+        data = data.decode("utf-16", errors="replace").encode()
     if b"\0" in data[:65536]:
         raise InputError(f"{path}: is binary, not the text that a {path.suffix} file holds")
     lines = _decoded(data, encoding).rstrip().splitlines()

@@ -28,6 +28,9 @@ LONGEST_PREAMBLE = 500
 FIRST_ROWS = 100
 """Rows of numbers that say which decimal mark they have."""
 
+EMPTY = ("-", "--", "---")
+"""What loggers write where they have no number, beside what pandas takes for that."""
+
 TIMES = ("time_s", "time", "t", "timestamp", "elapsed time", "elapsed", "zeit", "zeitstempel", "messzeit")
 """Names of the time column, the first that a file has, whatever their case."""
 
@@ -63,7 +66,7 @@ def _numbers(path: Path, rows: Sequence[str], names: Sequence[str], separator: s
     with foreign(path, "CSV"):
         return pd.read_csv(
             text, sep=separator, names=columns, header=None, index_col=False,
-            skip_blank_lines=False, skipinitialspace=True, decimal=decimal,
+            skip_blank_lines=False, skipinitialspace=True, decimal=decimal, na_values=EMPTY,
         )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vehicle_sbi.data.formats.dates import across_midnight
 from vehicle_sbi.data.formats.lines import check_widths, text_lines
 from vehicle_sbi.data.formats.table import Table
 from vehicle_sbi.errors import InputError
@@ -42,8 +43,7 @@ def read(path: Path) -> tuple[Table, ...]:
     if not rows:
         return (table,)
     clock = table.numbers("time")
-    seconds = clock // 10000 * 3600 + clock // 100 % 100 * 60 + clock % 100
-    seconds += 86400.0 * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -43200.0)
+    seconds = across_midnight(clock // 10000 * 3600 + clock // 100 % 100 * 60 + clock % 100)
     return (replace(table, columns={**columns, "time": np.round(seconds - seconds[0], 6)}),)
 
 
