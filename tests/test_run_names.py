@@ -107,6 +107,19 @@ def test_a_path_reaches_hydra_as_it_is(group: str, name: str) -> None:
     assert found[{"mapping": "recording.mapping"}.get(group, f"{group}.path")] == typed.removeprefix(f"{group}=")
 
 
+@pytest.mark.parametrize("typed", ["folder=Flotte_Ü", "to=結果/drive", "hydra.run.dir=outputs/Übung 1"])
+def test_any_value_may_have_letters_that_hydra_does_not_know(typed: str) -> None:
+    (word,) = spelled_out([typed])
+    assert OverridesParser.create().parse_override(word).value() == typed.partition("=")[2]
+    assert as_typed([word]) == [typed]
+
+
+def test_a_list_of_files_may_have_such_letters_too() -> None:
+    (word, *_) = spelled_out(["recordings=[Fahrt_Übung.csv, b.csv]"])
+    assert OverridesParser.create().parse_override(word).value() == ["Fahrt_Übung.csv", "b.csv"]
+    assert spelled_out(["recordings=[a.csv,b.csv]"])[0] == "recordings=[a.csv,b.csv]"
+
+
 @given(st.text())
 def test_a_quoted_text_is_what_hydra_reads_and_what_comes_back(text: str) -> None:
     parser = OverridesParser.create()

@@ -32,7 +32,7 @@ def as_typed(overrides: Sequence[str]) -> list[str]:
     files = {key.removesuffix(".path"): unquoted(value) for key, _, value in pairs if key.endswith(".path")}
     chosen = {group for group, path in files.items() if f"{group}=file" in overrides and is_file(group, path)}
     typed = [
-        f"{key.removesuffix('.path')}={unquoted(value)}" if key.removesuffix(".path") in chosen else _mapping(override)
+        f"{key.removesuffix('.path')}={unquoted(value)}" if key.removesuffix(".path") in chosen else _unquoted(override)
         for override, (key, _, value) in zip(overrides, pairs, strict=True)
         if not (key in chosen and value == "file")
     ]
@@ -64,16 +64,29 @@ def _with_file_option(argument: str, own: Sequence[Path]) -> list[str]:
     """`recording=PATH` and `vehicle=PATH` as the group's `file` option and its path, anything else as it is.
 
     `mapping=PATH` is the path in the place of the recording's mapping. A column's name may hold what Hydra's grammar
-    reserves, as in `Time [s]`.
+    reserves, as in `Time [s]`, and any value letters that it does not know.
     """
     group, _, value = argument.partition("=")
     if group == TIME and not re.fullmatch(r"[\w.-]*|'.*'|\".*\"", value):
         return [f"{TIME}={quoted(value)}"]
     if not is_file(group, value, own):
-        return [argument]
+        return [f"{group}={_with_quotes(value)}"] if value else [argument]
     if group == "mapping":
         return [f"recording.mapping={quoted(value)}"]
     return [f"{group}=file", f"{group}.path={quoted(value)}"]
+
+
+def _with_quotes(value: str) -> str:
+    """A word, or a list of words, between quotes if it has letters that Hydra's grammar does not know."""
+    words = re.fullmatch(r"\[(.*)\]", value)
+    if words and _is_foreign_word(words[1].replace(",", "")):
+        return f"[{','.join(quoted(word.strip()) for word in words[1].split(','))}]"
+    return quoted(value) if _is_foreign_word(value) else value
+
+
+def _is_foreign_word(value: str) -> bool:
+    """Whether a value is one text with letters that Hydra's grammar does not know: no list, and no values to sweep."""
+    return not value.isascii() and not re.search(r"[,'\"()\[\]{}]", value)
 
 
 def _with_recording(arguments: Sequence[str]) -> list[str]:
@@ -90,9 +103,12 @@ def _first_recording(argument: str) -> str | None:
     return unquoted(found[1].strip()) if found else None
 
 
-def _mapping(override: str) -> str:
-    """`recording.mapping='PATH'` as `mapping=PATH`, a column of times without quotes, anything else as it is."""
+def _unquoted(override: str) -> str:
+    """`recording.mapping='PATH'` as `mapping=PATH`, what was quoted for its letters without quotes, else as it is."""
     if override.startswith(f"{TIME}="):
         return f"{TIME}={unquoted(override.removeprefix(f'{TIME}='))}"
     path = unquoted(override.removeprefix("recording.mapping="))
-    return f"mapping={path}" if path != override and is_file("mapping", path) else override
+    if path != override and is_file("mapping", path):
+        return f"mapping={path}"
+    key, _, value = override.partition("=")
+    return f"{key}={unquoted(value)}" if _is_foreign_word(unquoted(value)) else override
