@@ -21,14 +21,14 @@ from vehicle_sbi.fleet.vehicles import members
 
 @launch("fleet")
 def main(cfg: DictConfig) -> None:
-    from vehicle_sbi.fleet.diagnoses import fleet
-    from vehicle_sbi.fleet.table import shown, table
-    from vehicle_sbi.report.page.index import rows, write_index
-
     out = Path(HydraConfig.get().runtime.output_dir)
     engine = Engine(name=cfg.engine.name, workers=cfg.workers, scheduler=cfg.scheduler)
     options = [f"figures={str(cfg.figures).lower()}", *map(str, cfg.options)]
     found, outcomes = members(Path(str(cfg.folder))), {}
+    from vehicle_sbi.fleet.diagnoses import fleet  # here, not above: what is refused needs none of the libraries
+    from vehicle_sbi.fleet.table import shown, table
+    from vehicle_sbi.report.page.index import rows, write_index
+
     asked = fleet(found, out, engine, script=SCRIPTS / "diagnose.py", options=options, timeout_s=cfg.timeout_s)
     with tqdm(asked, total=len(found), desc="vehicles", unit="vehicle", disable=None) as bar:
         for member, outcome in bar:

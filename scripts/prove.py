@@ -19,14 +19,14 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @launch("prove")
 def main(cfg: DictConfig) -> None:
-    sys.path.append(str(ROOT / "benchmarks"))
-    from campaign import Diagnoser, prove
-
     if not isinstance(cfg.cases, int) or cfg.cases < 1:
         raise InputError(f"cases = {cfg.cases!r}; it must be a whole number above 0")
     if not isinstance(cfg.first, int) or not 0 <= cfg.first < cfg.cases:
         raise InputError(f"first = {cfg.first!r}; it must be a case before cases = {cfg.cases}, counted from 0")
     engine = Engine(name=cfg.engine.name, workers=cfg.workers, scheduler=cfg.scheduler, computing=True)
+    sys.path.append(str(ROOT / "benchmarks"))
+    from campaign import Diagnoser, prove  # here, not above: what is refused needs none of the libraries
+
     print(
         prove(
             folder=Path(cfg.folder),

@@ -57,7 +57,7 @@ def simulator(
         process=process,
         noise=noise or constant_noise(windows),
         uniform_start=True,
-        substeps=10,
+        substeps=4,
         seed=3,
     )
 

@@ -1,20 +1,17 @@
 """Calibration: exact posteriors are found calibrated, narrowed, widened and shifted ones are not."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom, norm
+from script_runs import run_script
 
 from vehicle_sbi.files import sha256
 from vehicle_sbi.inference.calibration import (
@@ -178,13 +175,10 @@ TINY = [
     "samples=100",
 ]  # fmt: skip
 WHOLE = [*TINY, "experiment=smoke", "rounds.rounds=1", "repetitions=4"]
-INHERITED = {key: value for key, value in os.environ.items() if key != "HYDRA_FULL_ERROR"}
 
 
 def run(*arguments: str) -> tuple[int, str, str]:
-    command = [sys.executable, "scripts/calibrate.py", *arguments]
-    done = subprocess.run(command, cwd=ROOT, env=INHERITED, capture_output=True, text=True, timeout=240)
-    return done.returncode, done.stdout, done.stderr
+    return run_script("calibrate", *arguments)
 
 
 @pytest.fixture(scope="module")

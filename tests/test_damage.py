@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_run_script import ENVIRONMENT, QUICK, run
+from script_runs import ENVIRONMENT
+from test_run_script import QUICK, run
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.report import manifest as manifests
@@ -85,12 +86,9 @@ def test_rounds_of_another_study_are_not_taken(runs: tuple[Path, Path], tmp_path
 
 
 @pytest.mark.slow
-def test_threads_of_the_environment_change_no_digit(
-    runs: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        monkeypatch.setitem(ENVIRONMENT, variable, "2")
-    status, _, err = run(*QUICK, "seed=0", f"hydra.run.dir={tmp_path / 'run'}")
+def test_threads_of_the_environment_change_no_digit(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    two = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "2")
+    status, _, err = run(*QUICK, "seed=0", f"hydra.run.dir={tmp_path / 'run'}", env=ENVIRONMENT | two)
     assert status == 0, err
     for name in ("table.csv", "samples.parquet"):
         assert (tmp_path / "run" / name).read_bytes() == (runs[0] / name).read_bytes()

@@ -65,13 +65,15 @@ def test_scores_do_not_depend_on_the_unit_of_a_size(unit: float) -> None:
     np.testing.assert_allclose(other.size, one.size * unit, rtol=1e-4)
 
 
-@pytest.mark.parametrize(("rho", "seconds"), [(0.0, 5.0), pytest.param(0.9, 10.0, marks=pytest.mark.slow)])
-def test_p_values_are_uniform_where_nothing_is_missing(rho: float, seconds: float) -> None:
-    # 60 recordings; noise and parameters are fitted to each. A Kolmogorov-Smirnov test at 0.1 % keeps chance out, of
+@pytest.mark.parametrize(
+    ("rho", "seconds", "recordings"), [(0.0, 5.0, 30), pytest.param(0.9, 10.0, 60, marks=pytest.mark.slow)]
+)
+def test_p_values_are_uniform_where_nothing_is_missing(rho: float, seconds: float, recordings: int) -> None:
+    # Noise and parameters are fitted to each. A Kolmogorov-Smirnov test at 0.1 % keeps chance out, of
     # the largest score alone, and beside all stretches of each channel together.
     sim, found = lateral(rho=rho, seconds=seconds), []
     p, together = [], []
-    for seed in range(60):
+    for seed in range(recordings):
         fit = fitted(recorded(sim, seed=seed))
         found = found or [
             d for name in ("gyro_bias", "accelerometer_bias", "yaw_inertia", "steering_offset")

@@ -5,8 +5,6 @@ import pickle
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from html import escape
 from pathlib import Path
@@ -17,8 +15,9 @@ import xarray as xr
 import yaml
 from cars import PAPER
 from conftest import ROOT
+from script_runs import run_script
 from test_case import NATIVE, written
-from test_run_script import ENVIRONMENT, killed, vehicle
+from test_run_script import killed, vehicle
 from test_run_script import run as infer
 from test_stage_file import Trap, write
 
@@ -42,10 +41,7 @@ BASE = ["vehicle=paper", "recording.drive=speed", CHANNELS, "++prior.steering_ra
 
 
 def diagnose(*arguments: str) -> tuple[int, str, str]:
-    done = subprocess.run(
-        [sys.executable, "scripts/diagnose.py", *arguments], cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True
-    )
-    return done.returncode, done.stdout, done.stderr
+    return run_script("diagnose", *arguments)
 
 
 def goes_on(folder: Path, *sealed: str) -> tuple[int, str, str]:

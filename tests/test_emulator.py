@@ -40,6 +40,13 @@ def features(sim: Simulator, width: float):
     return lambda y: summary(y)[:, : len(TRUTH)] * sim.space.prior_std
 
 
+@pytest.fixture(scope="module")
+def fitted():
+    """The simulator, and the score's features of what is proposed from a tenth of the box about the truth."""
+    sim = proportional(simulator())
+    return sim, features(sim, 0.1)
+
+
 @pytest.mark.parametrize(("k", "degree"), [(1, 3), (4, 2), (7, 3)])
 def test_there_are_as_many_monomials_as_there_should_be(k: int, degree: int) -> None:
     powers = exponents(k, degree)
@@ -80,20 +87,20 @@ def test_slopes_are_the_model_s_derivatives() -> None:
         assert np.abs(slopes.at(at)[:, i] - rise / (2 * h)).max() < 0.01 * size
 
 
-def test_a_series_without_noise_is_explained_by_what_made_it() -> None:
+def test_a_series_without_noise_is_explained_by_what_made_it(fitted) -> None:
     """To a tenth of the bound, wherever parameters are proposed: what the prior pulls and one step leaves over."""
-    sim = proportional(simulator())
+    sim, summary = fitted
     theta = about(sim, 0.1, n=20)
     bound = bound_std(fisher(sim, TRUTH), sim.space.prior_std)
-    off = (features(sim, 0.1)(sim.noise_free(theta)) - theta) / bound
+    off = (summary(sim.noise_free(theta)) - theta) / bound
     assert (np.abs(off) < 0.1).all()
 
 
-def test_the_fit_of_a_noisy_series_is_unbiased_and_reaches_the_bound() -> None:
+def test_the_fit_of_a_noisy_series_is_unbiased_and_reaches_the_bound(fitted) -> None:
     """Over n series: their mean within five standard errors, their spread within five of its own of the bound."""
-    sim, n = proportional(simulator()), 400
+    (sim, summary), n = fitted, 400
     y, _ = sim.simulate(np.tile(TRUTH, (n, 1)), np.arange(n), stream=Stream.TRUTH)
-    off = (features(sim, 0.1)(y) - TRUTH) / bound_std(fisher(sim, TRUTH), sim.space.prior_std)
+    off = (summary(y) - TRUTH) / bound_std(fisher(sim, TRUTH), sim.space.prior_std)
     assert (np.abs(off.mean(axis=0)) < 5 / np.sqrt(n)).all()
     # Residuals drawn back to four standard deviations cost 1 %.
     assert (np.abs(off.std(axis=0) - 1) < 0.01 + 5 / np.sqrt(2 * n)).all()
@@ -108,9 +115,9 @@ def test_process_noise_does_not_spoil_the_fit_of_what_it_leaves_alone() -> None:
     assert abs(found.std() / bound - 1) < 0.1 + 5 / np.sqrt(2 * n)  # the bound itself depends on the draws
 
 
-def test_a_series_that_is_not_finite_has_no_fit_and_spoils_no_other() -> None:
-    sim = proportional(simulator())
-    summary, y = features(sim, 0.1), sim.noise_free(np.tile(TRUTH, (2, 1)))
+def test_a_series_that_is_not_finite_has_no_fit_and_spoils_no_other(fitted) -> None:
+    sim, summary = fitted
+    y = sim.noise_free(np.tile(TRUTH, (2, 1)))
     broken = y.copy()
     broken[1] = np.nan
     np.testing.assert_allclose(summary(broken)[0], summary(y)[0], rtol=1e-5)

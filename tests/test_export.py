@@ -2,9 +2,6 @@
 
 import ast
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -15,9 +12,9 @@ import pandas as pd
 import pytest
 import yaml
 from cars import PAPER
-from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
+from script_runs import run_script
 from vehiclemodels.vehicle_parameters import VehicleParameters, setup_vehicle_parameters
 
 from vehicle_sbi.errors import InputError
@@ -508,11 +505,7 @@ def test_a_file_that_changed_after_the_run_is_not_exported(tmp_path: Path) -> No
 
 
 def script(*arguments: str) -> tuple[int, str, str]:
-    environment = {key: value for key, value in os.environ.items() if key != "HYDRA_FULL_ERROR"}
-    done = subprocess.run(
-        [sys.executable, "scripts/export.py", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True
-    )
-    return done.returncode, done.stdout, done.stderr
+    return run_script("export", *arguments)
 
 
 @pytest.mark.slow

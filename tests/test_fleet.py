@@ -14,8 +14,9 @@ import pandas as pd
 import psutil
 import pytest
 from conftest import ROOT
+from script_runs import ENVIRONMENT, run_script
 from test_case import NATIVE, written
-from test_run_script import ENVIRONMENT
+from test_run_script import started
 from test_run_script import vehicle as car_file
 
 from vehicle_sbi.errors import InputError
@@ -28,13 +29,11 @@ from vehicle_sbi.report import manifest
 OPTIONS = 'options=["recording.drive=speed","recording.channels=[a_x,a_y,yaw_rate]","++prior.steering_ratio.gain=null"]'
 
 
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "scripts/fleet.py", "figures=false", OPTIONS, *arguments]
+WORDS = ("figures=false", OPTIONS)
 
 
 def fleet(*arguments: str) -> tuple[int, str, str]:
-    done = subprocess.run(command(*arguments), cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
-    return done.returncode, done.stdout, done.stderr
+    return run_script("fleet", *WORDS, *arguments)
 
 
 @pytest.fixture(scope="module")
@@ -316,22 +315,15 @@ def cluster(workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]
 
 def asked_of(address: str, recordings: Path, out: Path) -> subprocess.Popen[str]:
     """The fleet on a cluster, once its diagnoses have begun."""
-    words = command(f"folder={recordings}", f"hydra.run.dir={out}", "engine=dask", f"scheduler={address}")
-    running = subprocess.Popen(
-        words, cwd=ROOT, env=ENVIRONMENT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )
+    words = (*WORDS, f"folder={recordings}", f"hydra.run.dir={out}", "engine=dask", f"scheduler={address}")
+    running = started(words, "fleet")
     until(lambda: running.poll() is not None or all((out / name / "stages").exists() for name in ("rolls", "stiff")))
     return running
 
 
-def slowly_squared(x: int) -> int:
-    time.sleep(0.5)
-    return x * x
-
-
 def test_the_jobs_of_a_worker_that_is_killed_are_done_by_another() -> None:
     with cluster(workers=2) as (address, (_, worker, _)):
-        work = Function(str(ROOT / "tests"), "test_fleet", "slowly_squared")
+        work = Function(str(ROOT / "tests"), "slow_work", "slowly_squared")
         done = each(Engine(name="dask", scheduler=address), work, range(12))
         found = [next(done)]
         worker.kill()
@@ -340,7 +332,7 @@ def test_the_jobs_of_a_worker_that_is_killed_are_done_by_another() -> None:
 
 def test_a_scheduler_that_is_lost_is_one_line() -> None:
     with cluster(workers=1) as (address, (scheduler, _)):
-        work = Function(str(ROOT / "tests"), "test_fleet", "slowly_squared")
+        work = Function(str(ROOT / "tests"), "slow_work", "slowly_squared")
         done = each(Engine(name="dask", scheduler=address), work, range(12))
         next(done)
         scheduler.kill()

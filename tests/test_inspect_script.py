@@ -1,16 +1,13 @@
 """inspect_recording.py as users run it: a foreign CSV, files to edit that reading takes, one line for a wrong value."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
-from conftest import ROOT
+from script_runs import run_script
 from test_inspection import column, foreign
 from test_rosbag import written
-from test_run_script import ENVIRONMENT
 
 from vehicle_sbi.data.inspection.contents import contents
 from vehicle_sbi.data.inspection.guess import guess
@@ -18,14 +15,7 @@ from vehicle_sbi.data.readers import RecordingFile
 
 
 def inspect(*arguments: str) -> tuple[int, str, str]:
-    done = subprocess.run(
-        [sys.executable, "scripts/inspect_recording.py", *arguments],
-        cwd=ROOT,
-        env=ENVIRONMENT,
-        capture_output=True,
-        text=True,
-    )
-    return done.returncode, done.stdout, done.stderr
+    return run_script("inspect_recording", *arguments)
 
 
 @pytest.fixture(scope="module")

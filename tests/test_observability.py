@@ -1,11 +1,8 @@
 """What a manoeuvre could tell is said in words that follow from its Fisher matrix."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
-from conftest import ROOT
+from script_runs import run_script
 
 from vehicle_sbi.report.observability import condition
 
@@ -20,25 +17,19 @@ def test_condition_is_that_of_the_information_per_prior() -> None:
 def test_the_script_names_what_one_sine_cannot_tell_apart() -> None:
     # In steady phase a_y (1 + g gradient) is a_y gain: body roll is an accelerometer's gain. Grade and bias of a_x both
     # add a constant to it, but grade also slows the car, which wheel speeds show.
-    run = subprocess.run(
-        [
-            sys.executable,
-            "scripts/observability.py",
-            "truth={l_f: 1.2, body_roll.gradient: 0.008, body_roll.lag: 0.05, body_roll.period: 0.5, "
-            "accelerometer_scale.x: 1.0, accelerometer_scale.y: 1.0}",
-            "prior=lateral",
-            "~prior.C_alpha_f",
-            "~prior.C_alpha_r",
-            "~prior.steering_ratio",
-            "effects=[body_roll,accelerometer_scale]",
-        ],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
+    status, out, err = run_script(
+        "observability",
+        "truth={l_f: 1.2, body_roll.gradient: 0.008, body_roll.lag: 0.05, body_roll.period: 0.5, "
+        "accelerometer_scale.x: 1.0, accelerometer_scale.y: 1.0}",
+        "prior=lateral",
+        "~prior.C_alpha_f",
+        "~prior.C_alpha_r",
+        "~prior.steering_ratio",
+        "effects=[body_roll,accelerometer_scale]",
     )
-    assert "Condition number" in run.stdout
-    pair = next(line for line in run.stdout.splitlines() if line.startswith("Hardly told apart"))
+    assert status == 0, err
+    assert "Condition number" in out
+    pair = next(line for line in out.splitlines() if line.startswith("Hardly told apart"))
     assert "body_roll.gradient" in pair
     assert "accelerometer_scale.y" in pair
-    assert "absorbed by" in run.stdout
+    assert "absorbed by" in out

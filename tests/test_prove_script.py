@@ -1,20 +1,14 @@
 """prove.py as users run it: cases built, diagnosed in processes of their own and scored; continued, not begun again."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
-from conftest import ROOT
-from test_run_script import ENVIRONMENT
+from script_runs import run_script
 
 
 def prove(*arguments: str) -> tuple[int, str, str]:
-    done = subprocess.run(
-        [sys.executable, "scripts/prove.py", *arguments], cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True
-    )
-    return done.returncode, done.stdout, done.stderr
+    return run_script("prove", *arguments)
 
 
 @pytest.mark.parametrize(

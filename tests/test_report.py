@@ -1,9 +1,6 @@
 """Tables say what the samples say, to the digits they support; pages and pictures are whole and stand alone."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from script_runs import run_script
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.prior import KNOWN
@@ -277,22 +275,21 @@ def test_gathering_names_what_it_cannot_read(tmp_path: Path) -> None:
 def test_the_script_gathers_and_refuses_in_one_line(tmp_path: Path) -> None:
     made_up_runs(tmp_path / "sweep")
 
-    def report(runs: Path) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "scripts/report.py", f"runs=[{runs}]", f"hydra.run.dir={tmp_path / 'report'}"]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    def report(runs: Path) -> tuple[int, str, str]:
+        return run_script("report", f"runs=[{runs}]", f"hydra.run.dir={tmp_path / 'report'}")
 
-    good, bad = report(tmp_path / "sweep"), report(tmp_path / "absent")
-    assert good.returncode == 0, good.stderr
-    assert "7 of 10" in good.stdout
+    status, out, err = report(tmp_path / "sweep")
+    assert status == 0, err
+    assert "7 of 10" in out
     assert sorted(file.name for file in (tmp_path / "report").iterdir()) == [
         "index.html",
         "runs.csv",
         "runs.md",
         "seeds.csv",
     ]
-    assert (bad.returncode, bad.stderr.count("\n")) == (2, 1)
-    assert "no such folder" in bad.stderr
+    status, _, err = report(tmp_path / "absent")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "no such folder" in err
 
 
 def predicted(windows: int, time: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

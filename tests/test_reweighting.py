@@ -13,7 +13,7 @@ from vehicle_sbi.inference.reweighting import Nuisances, Reweighted, applies, lo
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.rng import Stream
 
-PROPOSED, DRAWN = 4000, 1000
+PROPOSED, DRAWN = 2000, 500
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """run.py as users run it: one line for a wrong value, the same result after any interruption, nothing half-written."""
 
-import os
 import resource
 import signal
 import subprocess
@@ -15,27 +14,28 @@ import pandas as pd
 import pytest
 import yaml
 from conftest import ROOT
+from script_runs import ENVIRONMENT, run_script
 
 from vehicle_sbi.report import netcdf
 
 QUICK = ["experiment=smoke", "rounds.simulations=100", "training.max_epochs=3", "samples=200"]
-INHERITED = {key: value for key, value in os.environ.items() if key != "HYDRA_FULL_ERROR"}
-ENVIRONMENT = INHERITED | {"NUMBA_NUM_THREADS": "1"}
 
 
 def started(arguments: Sequence[str], script: str = "run", **settings: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, f"scripts/{script}.py", *arguments],
         cwd=ROOT,
-        env=ENVIRONMENT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        **settings,
+        **{"env": ENVIRONMENT, **settings},
     )
 
 
 def run(*arguments: str, **settings: Any) -> tuple[int, str, str]:
+    """The script; one that has settings of its own is started from nothing."""
+    if not settings:
+        return run_script("run", *arguments)
     process = started(arguments, **settings)
     out, err = process.communicate(timeout=240)
     return process.returncode, out, err
