@@ -12,7 +12,7 @@ from scipy.stats import kstest, norm
 from vehicle_sbi import threads
 from vehicle_sbi.mismatch.selection.gibbs import State, _drawn, _log_box, _log_slab, _mostly_within, _off_zero
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Shared, sample
-from vehicle_sbi.mismatch.selection.inverse import factorised, set_precision
+from vehicle_sbi.mismatch.selection.inverse import factorise, set_precision
 from vehicle_sbi.mismatch.selection.likeness import UNLIKE, likeness
 
 SLABS = (0.6, 1.5)
@@ -209,7 +209,8 @@ def test_a_thousand_changes_of_precisions_by_nine_decades_leave_the_inverse_as_i
     X = rng.standard_normal((12, 60)) * np.geomspace(1e-2, 30.0, 12)[:, None]
     H, b, precision = X @ X.T, X @ rng.standard_normal(60), np.ones(12)
     groups = [slice(2, 3), slice(3, 4), slice(4, 6), slice(6, 7), slice(7, 9), slice(9, 10), slice(10, 12)]
-    S, m = factorised(H, b, precision)
+    S, m = np.empty((12, 12)), np.empty(12)
+    factorise(H, b, precision, S, m)
     for _ in range(1000):
         one = groups[rng.integers(len(groups))]
         set_precision(one.start, one.stop, float(rng.choice([1e-1, 1.0, 1e3, 1e8])), precision, S, m)

@@ -3,6 +3,7 @@
 One group's amplitude is drawn given all others; with S = A^-1, m = S b and the eigenvalues e and vectors V of the
 group's block of S, a change d of its precision changes the log evidence by
 sum_i [ - 1/2 log(1 + d e_i) - 1/2 d u_i^2 / (1 + d e_i) ] + q/2 log(ratio of precisions),   u = V' m of the group.
+Sums are loops here for the sake of compilation (see `inverse`).
 """
 
 import math
@@ -11,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vehicle_sbi.compiled import compiled_apart, compiled_beside
-from vehicle_sbi.mismatch.selection.inverse import LEAST, factorised, rounded, set_precision
+from vehicle_sbi.mismatch.selection.inverse import LEAST, along, factorise, rounded, set_precision, with_precision
 
 REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
 TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
@@ -78,14 +79,27 @@ def _within(mean: float, std: float, low: float, high: float) -> float:
 
 @compiled_apart
 def _chosen(log_weight: np.ndarray) -> int:
-    """One of several, with probability in proportion to its weight."""
-    weight = np.exp(log_weight - log_weight.max())
-    left = np.random.random() * weight.sum()
-    for k in range(len(weight)):
-        left -= weight[k]
-        if left <= 0.0:
+    """One of several, with probability in proportion to its weight; none of no weight."""
+    most, total, last = _largest(log_weight), 0.0, 0
+    for k in range(len(log_weight)):
+        total += math.exp(log_weight[k] - most)
+    left = np.random.random() * total
+    for k in range(len(log_weight)):
+        weight = math.exp(log_weight[k] - most)
+        left -= weight
+        if left < 0.0:
             return k
-    return len(weight) - 1
+        if weight > 0.0:
+            last = k
+    return last
+
+
+@compiled_apart
+def _largest(values: np.ndarray) -> float:
+    most = -np.inf
+    for value in values:
+        most = max(most, value)
+    return most
 
 
 @compiled_apart
@@ -100,37 +114,43 @@ def _log_prior(level, believed, odds):
 
 
 @compiled_apart
+def _odds(rate_odds, believed, missing, discrepant):
+    """Odds of all groups, with the factors that effects and discrepancies share."""
+    odds = np.empty(len(rate_odds))
+    for g in range(len(odds)):
+        odds[g] = rate_odds[g] * (missing if believed.named[g] else discrepant)
+    return odds
+
+
+@compiled_apart
 def _level_evidence(g, believed, state):
     """Of each level of a group the change of log evidence, mass of coefficients with bounds included."""
     first, last, S, m = believed.first[g], believed.stop[g], state.S, state.m
     amplitude, low, high = believed.amplitude, believed.low, believed.high
     q, n = last - first, len(m)
-    e, V = np.linalg.eigh(np.ascontiguousarray(S[first:last, first:last]))
-    u = V.T @ m[first:last]
-    W = np.ascontiguousarray(S[:, first:last]) @ V
-    found = np.full(amplitude.shape[1], -np.inf)
+    e, _, W, u = along(first, last, S, m)
+    found, c = np.empty(amplitude.shape[1]), np.empty(q)
     for k in range(amplitude.shape[1]):
         sd = amplitude[g, k]
         if sd <= 0.0:
+            found[k] = -np.inf
             continue
         to = 1.0 / sd**2
         d = to - state.precision[first]
         found[k] = 0.5 * q * math.log(to / state.precision[first])
-        c = np.empty(q)
         for i in range(q):
             grown = max(1.0 + d * max(e[i], 0.0), LEAST)
             c[i] = d / grown
             found[k] += -0.5 * math.log(grown) - 0.5 * c[i] * u[i] ** 2
         for j in range(n):
-            inside = first <= j < last
-            width = _width(g, k, believed) if inside else state.slab[j]
+            width = _width(g, k, believed) if first <= j < last else state.slab[j]
             boxed = j < len(low)
             if width <= 0.0 and not boxed:
                 continue
             mean, variance = m[j], S[j, j]
             for i in range(q):
-                mean -= c[i] * W[j, i] * u[i]
-                variance -= c[i] * W[j, i] ** 2
+                mean -= c[i] * W[i, j] * u[i]
+                variance -= c[i] * W[i, j] ** 2
             variance = max(variance, 1e-300)
             if boxed:
                 found[k] += _log_box(mean, variance, low[j], high[j], believed.outside)
@@ -152,33 +172,43 @@ def _drawn(H, believed, state):
     others (Gibbs), under their priors' whole densities."""
     m, precision, low, high = state.m, state.precision, believed.low, believed.high
     n, boxed = len(m), len(low)
-    L = np.linalg.cholesky(H + np.diag(precision))
-    x = m + _solved_upwards(L, np.random.standard_normal(n))
+    A = with_precision(H, precision)
+    x = _with_precision_of(A)
+    for j in range(n):
+        x[j] += m[j]
+    off = np.empty(n)
     for _ in range(REDRAWN):
-        off = H @ (x - m) + precision * (x - m)
+        for i in range(n):
+            off[i] = 0.0
+            for j in range(n):
+                off[i] += A[i, j] * (x[j] - m[j])
         for j in range(n):
             if j >= boxed and state.slab[j] <= 0.0:
                 continue
-            std = 1.0 / math.sqrt(H[j, j] + precision[j])
+            std = 1.0 / math.sqrt(A[j, j])
             mean = x[j] - off[j] * std * std
             if j < boxed:
                 to = _mostly_within(mean, std, low[j], high[j], believed.outside)
             else:
                 to = _off_zero(mean, std, believed.sign[j])
-            off += (to - x[j]) * H[:, j]
-            off[j] += (to - x[j]) * precision[j]
+            for i in range(n):
+                off[i] += (to - x[j]) * A[j, i]
             x[j] = to
     return x
 
 
 @compiled_apart
-def _solved_upwards(L, z):
-    """x of L' x = z, L lower triangular; z is used up."""
-    for i in range(len(z) - 1, -1, -1):
-        z[i] /= L[i, i]
+def _with_precision_of(A):
+    """A draw x from the normal about 0 with precision A: of L' x = z, where A = L L' and z is white."""
+    L = np.linalg.cholesky(A)
+    x = np.empty(len(A))
+    for i in range(len(x)):
+        x[i] = np.random.standard_normal()
+    for i in range(len(x) - 1, -1, -1):
+        x[i] /= L[i, i]
         for j in range(i):
-            z[j] -= L[i, j] * z[i]
-    return z
+            x[j] -= L[i, j] * x[i]
+    return x
 
 
 @compiled_apart
@@ -238,12 +268,14 @@ def _between(a, b):
 @compiled_apart
 def started(H, b, believed, begin):
     """A state with these levels."""
-    precision, slab = np.ones(len(b)), np.zeros(len(b))
+    n = len(b)
+    precision, slab = np.ones(n), np.zeros(n)
     for g in range(len(begin)):
-        own = slice(believed.first[g], believed.stop[g])
-        precision[own] = believed.amplitude[g, begin[g]] ** -2
-        slab[own] = _width(g, begin[g], believed)
-    S, m = factorised(H, b, precision)
+        for j in range(believed.first[g], believed.stop[g]):
+            precision[j] = believed.amplitude[g, begin[g]] ** -2
+            slab[j] = _width(g, begin[g], believed)
+    S, m = np.empty((n, n)), np.empty(n)
+    factorise(H, b, precision, S, m)
     return State(begin.copy(), precision, S, m, slab)
 
 
@@ -252,47 +284,52 @@ def run_chain(H, b, believed, alike, rate_odds, factors, begin, counts, seed):
     """One chain; levels, coefficients and their means of every so many sweeps."""
     np.random.seed(seed)
     (missings, discrepants), (sweeps, forgotten, every) = factors, counts
-    state, k = started(H, b, believed, begin), len(begin)
+    state, k, n = started(H, b, believed, begin), len(begin), len(b)
     missing, discrepant = missings[-1], discrepants[-1]
     kept = (sweeps - forgotten) // every
-    levels, values, means = np.zeros((kept, k), np.int64), np.zeros((kept, len(b))), np.zeros((kept, len(b)))
+    levels, values, means = np.zeros((kept, k), np.int64), np.zeros((kept, n)), np.zeros((kept, n))
     row = 0
     for sweep in range(sweeps):
         odds = _odds(rate_odds, believed, missing, discrepant)
         for _ in range(k):
             g = np.random.randint(k)
-            weight = _log_weights(g, believed, state)
-            weight[1:] += math.log(odds[g])
-            _put(g, _chosen(weight), H, b, believed, state)
+            _put(g, _chosen(_log_weights(g, odds, believed, state)), H, b, believed, state)
         for _ in range(SWAPS):
             _swap(alike, odds, H, b, believed, state)
         if sweep % REFRESHED == 0:
-            state.S[:], state.m[:] = factorised(H, b, state.precision)
-        tried = [_log_prior(state.level, believed, _odds(rate_odds, believed, one, discrepant)) for one in missings]
-        missing = missings[_chosen(np.array(tried))]
-        tried = [_log_prior(state.level, believed, _odds(rate_odds, believed, missing, one)) for one in discrepants]
-        discrepant = discrepants[_chosen(np.array(tried))]
+            factorise(H, b, state.precision, state.S, state.m)
+        missing, discrepant = _factors(missings, discrepants, discrepant, rate_odds, believed, state.level)
         if sweep >= forgotten and (sweep - forgotten) % every == 0 and row < kept:
-            levels[row] = state.level
-            values[row] = _drawn(H, believed, state)
-            means[row] = state.m
+            drawn = _drawn(H, believed, state)
+            for j in range(n):
+                values[row, j], means[row, j] = drawn[j], state.m[j]
+            for g in range(k):
+                levels[row, g] = state.level[g]
             row += 1
     return levels, values, means
 
 
 @compiled_apart
-def _odds(rate_odds, believed, missing, discrepant):
-    """Odds of all groups, with the factors that effects and discrepancies share."""
-    return rate_odds * np.where(believed.named, missing, discrepant)
+def _factors(missings, discrepants, discrepant, rate_odds, believed, level):
+    """Draws of both shared factors, one after the other, given the levels."""
+    weight = np.empty(len(missings))
+    for i in range(len(missings)):
+        weight[i] = _log_prior(level, believed, _odds(rate_odds, believed, missings[i], discrepant))
+    missing = missings[_chosen(weight)]
+    weight = np.empty(len(discrepants))
+    for i in range(len(discrepants)):
+        weight[i] = _log_prior(level, believed, _odds(rate_odds, believed, missing, discrepants[i]))
+    return missing, discrepants[_chosen(weight)]
 
 
 @compiled_apart
-def _log_weights(g, believed, state):
-    """Of each level of a group the log of share and evidence, over those of the first."""
-    weight, share = _level_evidence(g, believed, state), believed.share[g]
-    weight -= weight[0]
-    for one in range(1, len(weight)):
-        weight[one] += math.log(share[one]) if share[one] > 0.0 else -np.inf
+def _log_weights(g, odds, believed, state):
+    """Of each level of a group the log of prior and evidence, over those of the first."""
+    weight, share = _level_evidence(g, believed, state), believed.share
+    nothing = weight[0]
+    weight[0] = 0.0
+    for k in range(1, len(weight)):
+        weight[k] += math.log(odds[g] * share[g, k]) - nothing if share[g, k] > 0.0 else -np.inf
     return weight
 
 
@@ -307,9 +344,10 @@ def _put(g, to, H, b, believed, state):
     first, stop = believed.first[g], believed.stop[g]
     set_precision(first, stop, believed.amplitude[g, to] ** -2, state.precision, state.S, state.m)
     state.level[g] = to
-    state.slab[first:stop] = _width(g, to, believed)
+    for j in range(first, stop):
+        state.slab[j] = _width(g, to, believed)
     if rounded(first, H, state.precision, state.S):
-        state.S[:], state.m[:] = factorised(H, b, state.precision)
+        factorise(H, b, state.precision, state.S, state.m)
 
 
 @compiled_apart
@@ -319,24 +357,47 @@ def _swap(alike, odds, H, b, believed, state):
     Groups are tried in proportion to `alike` (k, k); with all levels of both, so that one replaces the other at once,
     whatever their sizes are.
     """
-    there, absent = np.flatnonzero(state.level > 0), np.flatnonzero(state.level == 0)
-    if len(there) == 0 or len(absent) == 0:
+    k, there = len(state.level), 0
+    for level in state.level:
+        there += 1 if level > 0 else 0
+    if there == 0 or there == k:
         return
-    g = there[np.random.randint(len(there))]
-    h = absent[_chosen(np.log(alike[g][absent]))]
-    ways, ways_back = alike[g][absent].sum(), alike[h][absent].sum() - alike[h, h] + alike[h, g]
+    g = _there(np.random.randint(there), state.level)
+    way = np.full(k, -np.inf)
+    for other in range(k):
+        if state.level[other] == 0:
+            way[other] = math.log(alike[g, other])
+    h, ways, ways_back = _chosen(way), 0.0, 0.0
+    for other in range(k):
+        if state.level[other] == 0:
+            ways += alike[g, other]
+            ways_back += alike[h, other]
+    ways_back += alike[h, g] - alike[h, h]
     before = state.level[g]
     _put(g, 0, H, b, believed, state)
-    of_g, of_h = _log_weights(g, believed, state)[1:], _log_weights(h, believed, state)[1:]
-    ratio = _log_sum(of_h) + math.log(odds[h] * ways) - _log_sum(of_g) - math.log(odds[g] * ways_back)
-    if math.log(np.random.random()) < ratio:
-        _put(h, 1 + _chosen(of_h), H, b, believed, state)
+    of_g, of_h = _log_weights(g, odds, believed, state), _log_weights(h, odds, believed, state)
+    of_g[0] = of_h[0] = -np.inf
+    if math.log(np.random.random()) < _log_sum(of_h) + math.log(ways) - _log_sum(of_g) - math.log(ways_back):
+        _put(h, _chosen(of_h), H, b, believed, state)
     else:
         _put(g, before, H, b, believed, state)
 
 
 @compiled_apart
+def _there(before, level):
+    """The group that is in and has so many before it that are."""
+    for g in range(len(level)):
+        if level[g] > 0:
+            if before == 0:
+                return g
+            before -= 1
+    return len(level) - 1
+
+
+@compiled_apart
 def _log_sum(log_weight):
     """Log of a sum of weights."""
-    most = log_weight.max()
-    return most + math.log(np.exp(log_weight - most).sum())
+    most, total = _largest(log_weight), 0.0
+    for one in log_weight:
+        total += math.exp(one - most)
+    return most + math.log(total)
