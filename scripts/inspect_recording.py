@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from vehicle_sbi.command import as_typed
 from vehicle_sbi.data.inspection.inspection import Inspection
@@ -26,10 +26,16 @@ def main(cfg: DictConfig) -> None:
     print(spoken(inspection), end="\n\n")
     if inspection.given and inspection.unread:
         raise InputError(inspection.unread)
+    own = vehicle_given(cfg)
     if not inspection.given:
-        mapping, vehicle = write(inspection, Path(cfg.to), overwrite=cfg.overwrite)
-        say_next(inspection, mapping, vehicle, f"written: {mapping}, {vehicle}; edit both")
-    elif (given := mapping_given(cfg)) is not None:
+        mapping, vehicle = write(inspection, Path(cfg.to), vehicle=own, overwrite=cfg.overwrite)
+        written = f"{mapping}, {vehicle}; edit both" if own is None else f"{mapping}; edit it"
+        say_next(inspection, mapping, vehicle, f"written: {written}")
+    elif (given := mapping_given(cfg)) is None:
+        return
+    elif own is not None:
+        say_next(inspection, given, own, "nothing to write")
+    else:
         vehicle, written = write_vehicle(inspection, Path(cfg.to))
         say_next(inspection, given, vehicle, f"{'written' if written else 'there already'}: {vehicle}; edit it")
 
@@ -40,6 +46,12 @@ def mapping_given(cfg: DictConfig) -> str | None:
     if choices["recording"] != "file":
         return None
     return cfg.recording.mapping if isinstance(cfg.recording.mapping, str) else choices["mapping"]
+
+
+def vehicle_given(cfg: DictConfig) -> Path | None:
+    """The vehicle file that the user named."""
+    chosen = HydraConfig.get().runtime.choices["vehicle"] == "file"
+    return Path(cfg.vehicle.path) if chosen and not OmegaConf.is_missing(cfg.vehicle, "path") else None
 
 
 def say_next(inspection: Inspection, mapping: Path | str, vehicle: Path, done: str) -> None:

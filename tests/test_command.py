@@ -76,6 +76,13 @@ def test_a_file_alone_is_the_recording() -> None:
     assert VERBS["diagnose"].arguments(["drive.csv", "seed=1", "-m"]) == ["recording=drive.csv", "seed=1", "-m"]
 
 
+def test_of_two_files_none_is_dropped() -> None:
+    done = command("diagnose", "a.csv", "b.csv")
+    assert (done.returncode, done.stdout) == (2, "")
+    said = "'a.csv' and 'b.csv': one is taken, as in recording=FILE; several drives are 'recordings=[a.csv,b.csv]'"
+    assert done.stderr == f"error: {said}\n"
+
+
 def test_the_value_of_a_flag_is_no_recording() -> None:
     for flag in ("--cfg", "--config-dir"):
         assert VERBS["run"].arguments([flag, "job", "drive.csv"]) == [flag, "job", "recording=drive.csv"]

@@ -135,6 +135,14 @@ def test_who_turns_round_twice_drives_the_same_road() -> None:
     np.testing.assert_array_equal(twice.windows.x0, here.windows.x0)
 
 
+def test_a_steady_circle_does_not_tell_when_something_happens() -> None:
+    # Nothing changes there, so that neither a late steering nor late sensors show.
+    observation = replace(recorded(lateral(), steering_delay__time=0.05), estimated=False)
+    steering, sensors = (explained(observation, name) for name in ("steering_delay.time", "sensor_delay.imu"))
+    circle = MENU["a steady circle at the same speeds"]
+    assert separation(steering.fit, sensors.fit, circle) < 0.1 * HIDDEN
+
+
 def test_a_walking_pace_tells_the_gyro_s_zero_from_the_steering_s() -> None:
     # A wheel that is not straight turns the car in proportion to its speed, and hardly at a walk; a gyro's zero stays.
     observation = recorded(only(lateral(), "yaw_rate"), gyro_bias__z=0.01)

@@ -123,6 +123,14 @@ def test_times_of_day_are_seconds_also_across_midnight(tmp_path):
         RecordingFile(path=tmp_path / "odd.csv").load()
 
 
+@pytest.mark.parametrize("name", ["Uhrzeit", "Logged at"])
+def test_the_column_of_times_may_hold_dates_under_any_name(tmp_path, name):
+    frame = FRAME.assign(time_s=DATES.dt.strftime("%H:%M:%S.%f")).rename(columns={"time_s": name})
+    frame[frame.columns[::-1]].to_csv(tmp_path / "drive.csv", index=False)
+    recording = RecordingFile(path=tmp_path / "drive.csv").load()
+    np.testing.assert_allclose(recording.t, SINCE_1970 % 86400.0, atol=1e-6)
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "cp1252"])
 def test_a_text_is_read_in_the_encoding_of_its_writer(tmp_path, encoding):
     (tmp_path / "drive.csv").write_text("time_s,v_x_mps,Öltemperatur [°C]\n0,1,80\n1,2,81\n", encoding=encoding)

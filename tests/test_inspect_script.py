@@ -92,6 +92,16 @@ def test_an_edited_mapping_is_held_against_the_file(inspected: tuple[Path, str],
     assert f" mapping={tmp_path}/edited.yaml vehicle={tmp_path}/drive.vehicle.yaml" in out.splitlines()[-1]
 
 
+def test_a_vehicle_file_that_is_given_is_the_one_that_the_next_command_names(
+    inspected: tuple[Path, str], tmp_path: Path
+) -> None:
+    (tmp_path / "car.yaml").write_text("m: 1500\n")
+    status, out, err = inspect(f"recording={inspected[0]}/drive.csv", f"vehicle={tmp_path}/car.yaml", f"to={tmp_path}")
+    assert (status, err) == (0, "")
+    assert f" mapping={tmp_path}/drive.mapping.yaml vehicle={tmp_path}/car.yaml" in out.splitlines()[-1]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["car.yaml", "drive.mapping.yaml"]
+
+
 def test_a_preset_that_does_not_fit_says_what_it_lacks(inspected: tuple[Path, str], tmp_path: Path) -> None:
     status, out, err = inspect(f"recording={inspected[0]}/drive.csv", "mapping=autoware", f"to={tmp_path}")
     assert status == 2
@@ -126,7 +136,7 @@ def test_channels_of_motec_are_recognised(name: str, channel: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "recording.path"),
+        ([], "no recording is given: recording=drive.csv names one"),
         (["recording=nothing.csv"], "nothing.csv: no such file"),
         (["recording=README.md"], "README.md"),
         (["recording=synthetic"], "recording"),

@@ -357,7 +357,10 @@ def test_a_spike_is_filled_but_not_valid(tmp_path):
 HEAD = "time_s,v_x_mps\n"
 BAD_FILES = {
     "header only": (HEAD, "has 0 data rows"),
-    "no time": ("clock,v_x_mps\n0,1\n1,1\n2,1", "unknown column 'time_s'; known: "),
+    "no time": (
+        "clock,v_x_mps\n0,1\n1,1\n2,1",
+        "no column of times is recognised among clock, v_x_mps; name it with recording.time=COLUMN",
+    ),
     "no native column": ("time_s,speed\n0,1\n1,1\n2,1", "no native column and no mapping"),
     "two times": (HEAD + "0,1\n1,1\n1,1\n1,1", "has 4 data rows at 2 times; a recording needs at least 3"),
     "time goes back after it stood": (HEAD + "0,1\n1,1\n1,1\n0.5,1\n2,1", "row 5, column 'time_s': 0.5 s lies before"),

@@ -114,6 +114,17 @@ def test_any_value_may_have_letters_that_hydra_does_not_know(typed: str) -> None
     assert as_typed([word]) == [typed]
 
 
+@pytest.mark.parametrize("typed", ["prior.h_cog=[0.4,0.6]", "+prior.h_cog=[0.4,0.6]", "++prior.h_cog=[0.4,0.6]"])
+def test_a_parameter_may_be_new_to_the_prior(typed: str) -> None:
+    assert spelled_out([typed]) == ["++prior.h_cog=[0.4,0.6]"]
+    assert as_typed(spelled_out([typed])) == ["prior.h_cog=[0.4,0.6]"]
+    assert spelled_out(["prior=lateral", "~prior.l_f"]) == ["prior=lateral", "~prior.l_f"]
+
+
+def test_quotes_about_a_file_are_no_part_of_its_name() -> None:
+    assert spelled_out(["recording='my drive.csv'"]) == spelled_out(["recording=my drive.csv"])
+
+
 def test_a_list_of_files_may_have_such_letters_too() -> None:
     (word, *_) = spelled_out(["recordings=[Fahrt_Übung.csv, b.csv]"])
     assert OverridesParser.create().parse_override(word).value() == ["Fahrt_Übung.csv", "b.csv"]

@@ -31,6 +31,7 @@ def _types_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"m": True}, ("m = True", "a number has to stand there")),
         ({"l_f": 2.8, "L": 2.7}, ("l_f = 2.8 m", "L = 2.7 m")),
         ({"l_f": 2.7, "L": 2.7}, ("l_f = 2.7 m", "L = 2.7 m")),
+        ({"L": 2417.0}, ("L = 2417 m", "in millimetres?")),
         ({"drive_front": 1.2}, ("drive_front = 1.2", "between 0 and 1")),
         ({"brake_front": -0.1}, ("brake_front = -0.1", "positive")),
         ({"roll_front": 1.2}, ("roll_front = 1.2", "between 0 and 1")),

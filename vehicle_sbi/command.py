@@ -52,13 +52,20 @@ class Verb:
         return self.says or _docstring(self.path).partition("\n\n")[0].replace("\n", " ").rstrip(".")
 
     def arguments(self, typed: Sequence[str]) -> list[str]:
-        """The script's arguments: a file alone becomes the value of its key."""
+        """The script's arguments: a file alone becomes the value of its key. Raises ValueError for a second one."""
         before = ["", *typed]
+        files = [word for word, after in zip(typed, before, strict=False) if self._is_file(word, after)]
+        if len(files) > 1:
+            several = "; several drives are 'recordings=[a.csv,b.csv]'" if self.script == "diagnose" else ""
+            raise ValueError(f"'{files[0]}' and '{files[1]}': one is taken, as in {self.file}=FILE{several}")
         return [*self.given, *(self._spelled(word, after) for word, after in zip(typed, before, strict=False))]
 
     def _spelled(self, word: str, after: str) -> str:
+        return f"{self.file}={word}" if self._is_file(word, after) else word
+
+    def _is_file(self, word: str, after: str) -> bool:
         plain = "=" in word or word.startswith(("-", "+", "~")) or after in TAKE_A_VALUE
-        return word if self.file is None or plain else f"{self.file}={word}"
+        return self.file is not None and not plain
 
 
 VERBS: Mapping[str, Verb] = {
@@ -110,7 +117,12 @@ def _main(typed: Sequence[str]) -> None:
     elif name in VERBS and VERBS[name].given and {*HELP} & {*typed}:
         print(help_of(name))
     elif name in VERBS:
-        _run(name, VERBS[name].arguments(typed[1:]))
+        try:
+            arguments = VERBS[name].arguments(typed[1:])
+        except ValueError as error:
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(2)
+        _run(name, arguments)
     else:
         print(f"error: unknown verb '{name}'; known: {', '.join(VERBS)}", file=sys.stderr)
         sys.exit(2)

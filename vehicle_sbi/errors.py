@@ -6,6 +6,7 @@ from difflib import get_close_matches
 
 LONGEST_WORD, LONGEST = 400, 4000  # characters of a message, of which a file's cells may be megabytes
 KEPT = 80  # of a longer word
+MOST_LISTED = 50  # known names
 
 
 class InputError(ValueError):
@@ -17,8 +18,9 @@ class InputError(ValueError):
 
 
 def unknown(what: str, given: str, known: Iterable[str], where: str) -> InputError:
-    """An `InputError` for a name that is not known, listing the known ones with the nearest first."""
+    """An `InputError` for a name that is not known, listing the known ones, or many of them, with the nearest first."""
     names = list(known)
     nearest = get_close_matches(given, names, n=3, cutoff=0.4)
     listed = nearest + sorted(name for name in names if name not in nearest)
-    return InputError(f"{where}: unknown {what} '{given}'; known: {', '.join(listed)}")
+    more = f" and {len(listed) - MOST_LISTED} more" if len(listed) > MOST_LISTED else ""
+    return InputError(f"{where}: unknown {what} '{given}'; known: {', '.join(listed[:MOST_LISTED])}{more}")

@@ -64,9 +64,13 @@ def _with_file_option(argument: str, own: Sequence[Path]) -> list[str]:
     """`recording=PATH` and `vehicle=PATH` as the group's `file` option and its path, anything else as it is.
 
     `mapping=PATH` is the path in the place of the recording's mapping. A column's name may hold what Hydra's grammar
-    reserves, as in `Time [s]`, and any value letters that it does not know.
+    reserves, as in `Time [s]`, and any value letters that it does not know. A parameter may be new to the prior.
     """
     group, _, value = argument.partition("=")
+    if re.match(r"\+?prior\.", group):
+        group, argument = f"++{group.lstrip('+')}", f"++{argument.lstrip('+')}"
+    elif is_file(group, unquoted(value), own):
+        value = unquoted(value)
     if group == TIME and not re.fullmatch(r"[\w.-]*|'.*'|\".*\"", value):
         return [f"{TIME}={quoted(value)}"]
     if not is_file(group, value, own):
@@ -111,4 +115,6 @@ def _unquoted(override: str) -> str:
     if path != override and is_file("mapping", path):
         return f"mapping={path}"
     key, _, value = override.partition("=")
+    key = key.removeprefix("++") if key.startswith("++prior.") else key
+    override = f"{key}={value}" if value else override
     return f"{key}={unquoted(value)}" if _is_foreign_word(unquoted(value)) else override

@@ -94,6 +94,8 @@ def _failed_composition(error: ConfigCompositionException) -> str:
 @sentence.register(MissingMandatoryValue)
 @sentence.register(InterpolationResolutionError)
 def _unresolved_value(error: OmegaConfBaseException) -> str:
+    if isinstance(error, MissingMandatoryValue) and str(error.full_key).endswith("recording.path"):
+        return "no recording is given: recording=drive.csv names one"
     return _one_line(f"{error.full_key}: {str(error).partition(chr(10))[0]}")
 
 
@@ -119,6 +121,8 @@ def _refused_file(error: OSError) -> str | None:
 def _unknown_key(node: DictConfig, error: OmegaConfBaseException) -> str:
     """Of a key that `node` lacks: the known ones, or how to add one that its `_target_` takes."""
     level, _, _ = str(error.full_key).rpartition(".")
+    if error.full_key == "recordings":
+        return "recordings: one is taken here, recording=drive.csv; `diagnose` fits several together"
     target = node.get("_target_") if "_target_" in node else None
     accepted = set(signature(target, level).parameters) if target in allowed() else set()
     if error.key in accepted:

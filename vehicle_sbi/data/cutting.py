@@ -132,7 +132,8 @@ def _steering(recording: Recording, drive: str, steering_ratio: float | None) ->
         return recording.required("steering", f"drive mode '{drive}'")[0]
     if steering_ratio is None:
         raise InputError(
-            f"{recording.source}: drive mode '{drive}' has only steering_wheel and needs the vehicle's steering_ratio"
+            f"{recording.source}: drive mode '{drive}' has only steering_wheel and needs the vehicle's steering_ratio: "
+            "state it in a vehicle file, as in vehicle=car.yaml"
         )
     return recording.channels["steering_wheel"] / steering_ratio
 

@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter
 from vehicle_sbi.data.antialiasing import CUTOFF, is_faster, low_passed
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.formats.registry import read_tables
-from vehicle_sbi.data.formats.table import Table
+from vehicle_sbi.data.formats.table import Table, no_times
 from vehicle_sbi.data.mapping import Candidates, ChannelSource, built, mapping_file, native, sources
 from vehicle_sbi.data.plausibility import LIMITS, absurd, findings, spoken_runs
 from vehicle_sbi.data.recording import Recording
@@ -144,6 +144,8 @@ class RecordingFile:
             if table.clock in clocks:
                 continue
             column = self.time if self.time and (len(tables) == 1 or table.has(self.time)) else table.time
+            if self.time is None and not table.has(column):
+                raise no_times(table)
             own = self.time_unit if column == self.time or len(tables) == 1 else None
             unit = own or table.unit(column) or self.time_unit
             notes += [note for note in table.notes if note not in notes]

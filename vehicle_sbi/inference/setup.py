@@ -27,6 +27,7 @@ from vehicle_sbi.physics.simulation import MODELS, fastest_rate, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.rng import Stream, generator
+from vehicle_sbi.words import enumerated
 
 Noise = ProportionalNoise | ConstantNoise | EstimatedNoise
 FIRST_SUBSTEPS = 4  # before the slowest speed is known, which decides their number
@@ -76,6 +77,17 @@ class Setup:
             effects=() if isinstance(self.effects, str) else self.effects,
             drive=self.drive,
             sensed=windows.sensed(self.drive),
+        )
+
+    def unheeded(self, space: ParameterSpace) -> tuple[str, ...]:
+        """What the vehicle file states of a constant that is inferred does not count, said in a line, if it does."""
+        free = [name for p in space.parameters if not p.relative for name in p.fields]
+        names = [name for name in free if getattr(self.vehicle, name, None) is not None]
+        if not names:
+            return ()
+        return (
+            f"{enumerated(names)}: inferred within the prior, whatever the vehicle file states; "
+            f"prior.{names[0]}=null takes what it states as exact, prior.{names[0]}=[low,high] is a range",
         )
 
     def windows(self, recording: Recording, source: RecordingFile) -> Windows:

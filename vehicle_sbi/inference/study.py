@@ -84,9 +84,8 @@ class Study(Setup):
         observed = np.where(windows.valid, windows.y, 0.0)
         if isinstance(self.noise, EstimatedNoise) and self.noise.model_residual:
             simulator = simulator.with_noise(noise_under_model(simulator, observed, windows))
-        return Prepared(
-            f"{self.vehicle.name} from {recording.name}", self._problem(simulator, observed), None, recording
-        )
+        name, unheeded = f"{self.vehicle.name} from {recording.name}", self.unheeded(simulator.space)
+        return Prepared(name, self._problem(simulator, observed), None, recording, unheeded)
 
     def _used(self, windows: Windows) -> Windows:
         """The windows that tell most, as many as may be used, on a clock that begins with the first of them."""
@@ -118,12 +117,14 @@ class Study(Setup):
 
 @dataclass(frozen=True)
 class Prepared:
-    """A problem, the truth where it is known, and the recording where there is one."""
+    """A problem, the truth where it is known, the recording where there is one, and what the vehicle file states in
+    vain."""
 
     name: str
     problem: Problem
     truth: Float[np.ndarray, " d"] | None
     recording: Recording | None
+    unheeded: tuple[str, ...] = ()
 
     @cached_property
     def point(self) -> Float[np.ndarray, " d"]:
@@ -135,10 +136,11 @@ class Prepared:
 
     @property
     def notes(self) -> list[str]:
-        """Which plausible effects were free, and what was filled or left out on the way from file to windows."""
+        """Which plausible effects were free, what does not count, and what was filled or left out on the way from file
+        to windows."""
         simulator = self.problem.simulator
         free = [sentence(simulator.plausible)] if len(simulator.plausible) else []
-        return [*free, *simulator.windows.notes]
+        return [*free, *self.unheeded, *simulator.windows.notes]
 
     @property
     def warnings(self) -> tuple[str, ...]:

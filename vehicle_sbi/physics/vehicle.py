@@ -58,6 +58,8 @@ MEANINGS: Mapping[str, str] = {
 """What each constant of a vehicle is, in the order of a file; from track_f on, what only the full vehicle has."""
 
 IMU_PLACE = ("imu_x", "imu_y", "imu_z")
+LENGTHS = ("L", "l_f", "h_cog", "R_f", "track_f", "track_r", "h_roll", "h_pitch")
+LONGEST = 30.0  # [m], which none of them reaches
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +115,9 @@ class Vehicle:
                 continue
             if math.isnan(value) or value < 0 or (value == 0 and name not in MAY_BE_ZERO):
                 raise InputError(f"{where}: {name} = {value:g}; it must be positive")
+        for name in LENGTHS:
+            if (getattr(self, name) or 0.0) > LONGEST:
+                raise InputError(f"{where}: {name} = {getattr(self, name):g} m; is it stated in millimetres?")
         for name in ("drive_front", "brake_front", "roll_front"):
             if (getattr(self, name) or 0.0) > 1:
                 raise InputError(f"{where}: {name} = {getattr(self, name):g}; a share lies between 0 and 1")

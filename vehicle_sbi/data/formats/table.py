@@ -81,6 +81,14 @@ class Table:
             raise InputError(f"{where}: '{column.iloc[wrong[0]]}' is no {kind}")
 
 
+def no_times(table: Table) -> InputError:
+    """What to say where no column is known to hold the times."""
+    listed = ", ".join(list(map(str, table.columns))[:12])
+    return InputError(
+        f"{table.path}: no column of times is recognised among {listed}; name it with recording.time=COLUMN"
+    )
+
+
 def plain(name: object) -> str:
     """A column's name without what writers of a format add at its end."""
     return str(name).strip().rstrip(". ")

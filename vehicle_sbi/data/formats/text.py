@@ -6,9 +6,10 @@ mostly numbers, the nearest row of that width above is the header, or the units 
 """
 
 import csv
+import itertools
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from itertools import islice, pairwise
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from vehicle_sbi.data.formats.dates import seconds
 from vehicle_sbi.data.formats.lines import check_widths, text_lines
 from vehicle_sbi.data.formats.table import Table, foreign
 from vehicle_sbi.data.units import in_brackets, known_unit, without_brackets
@@ -31,7 +33,10 @@ FIRST_ROWS = 100
 EMPTY = ("-", "--", "---")
 """What loggers write where they have no number, beside what pandas takes for that."""
 
-TIMES = ("time_s", "time", "t", "timestamp", "elapsed time", "elapsed", "zeit", "zeitstempel", "messzeit")
+TIMES = (
+    "time_s", "time", "t", "timestamp", "elapsed time", "elapsed", "datetime", "zeit", "zeitstempel", "messzeit",
+    "uhrzeit",
+)  # fmt: skip
 """Names of the time column, the first that a file has, whatever their case."""
 
 
@@ -56,7 +61,7 @@ def read(path: Path) -> tuple[Table, ...]:
     columns = {str(name): frame[name] for name in frame}
     units = _units(names, layout.units)
     notes, first_row = _repeated(path, layout.names), layout.start + 1
-    return (Table(path=path, columns=columns, time=_time(names), first_row=first_row, units=units, notes=notes),)
+    return (Table(path=path, columns=columns, time=_time(columns), first_row=first_row, units=units, notes=notes),)
 
 
 def _numbers(path: Path, rows: Sequence[str], names: Sequence[str], separator: str) -> pd.DataFrame:
@@ -179,7 +184,9 @@ def _repeated(path: Path, names: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-def _time(names: Sequence[str]) -> str:
-    """The column of time: the first usual name that is there, and `time_s` if none is."""
-    lower = {without_brackets(name).strip().lower(): name for name in reversed(names)}
-    return next((lower[name] for name in TIMES if name in lower), "time_s")
+def _time(columns: Mapping[str, pd.Series]) -> str:
+    """The column of time: the first usual name that is there, else the first of dates, and `time_s` if none is."""
+    lower = {without_brackets(name).strip().lower(): name for name in reversed(columns)}
+    named = (lower[name] for name in TIMES if name in lower)
+    dated = (name for name, column in columns.items() if seconds(column.dropna().head(1)) is not None)
+    return next(itertools.chain(named, dated), "time_s")

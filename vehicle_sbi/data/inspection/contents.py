@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from vehicle_sbi.data.formats.limits import TooLargeError
 from vehicle_sbi.data.formats.registry import read_tables
-from vehicle_sbi.data.formats.table import Table
+from vehicle_sbi.data.formats.table import Table, no_times
 from vehicle_sbi.data.inspection.units import called, si, split
 from vehicle_sbi.data.time_units import guessed
 from vehicle_sbi.data.units import not_understood, without_brackets
@@ -183,8 +183,5 @@ def _time_column(table: Table) -> str:
         if re.fullmatch(TIMES, without_brackets(split(name, is_time=True)[0]).strip().lower())
     ]
     if not named:
-        listed = ", ".join(list(map(str, table.columns))[:12])
-        raise InputError(
-            f"{table.path}: no column of times is recognised among {listed}; name it with recording.time=COLUMN"
-        )
+        raise no_times(table)
     return named[0]

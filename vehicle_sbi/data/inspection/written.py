@@ -34,21 +34,24 @@ EXAMPLES = {"v_x": "km/h", "a_y": "m/s2", "yaw_rate": "deg/s"}
 """Channels that every diagnosis needs, beside a steering, with a unit that a logger may have."""
 
 
-def write(inspection: Inspection, folder: Path, *, overwrite: bool = False) -> tuple[Path, Path]:
-    """Write the mapping and the vehicle file; InputError, and nothing written, where one of them exists."""
+def write(
+    inspection: Inspection, folder: Path, *, vehicle: Path | None = None, overwrite: bool = False
+) -> tuple[Path, Path]:
+    """Write the mapping, and the vehicle file unless one is given; InputError, and nothing written, where one of them
+    exists."""
     stem = inspection.path.stem
-    files = {
-        folder / f"{stem}.mapping.yaml": mapping_text(inspection),
-        folder / f"{stem}.vehicle.yaml": vehicle_text(stem, steered="steering_wheel" in inspection.channels),
-    }
+    files = {folder / f"{stem}.mapping.yaml": mapping_text(inspection)}
+    if vehicle is None:
+        text = vehicle_text(stem, steered="steering_wheel" in inspection.channels)
+        files[folder / f"{stem}.vehicle.yaml"] = text
     existing = [path for path in files if path.exists()]
     if existing and not overwrite:
         listed = " and ".join(map(str, existing))
         raise InputError(f"{listed}: exists, left as it is; overwrite=true replaces it, to=FOLDER writes elsewhere")
     for path, text in files.items():
         write_text(path, text)
-    mapping, vehicle = files
-    return mapping, vehicle
+    mapping, *own = files
+    return mapping, vehicle or own[0]
 
 
 def write_vehicle(inspection: Inspection, folder: Path) -> tuple[Path, bool]:
@@ -105,6 +108,8 @@ def _yaml(value: object) -> str:
 
 def _vehicle_lines(name: str, steered: bool) -> Iterator[str]:
     yield f"# The vehicle of {name}: fill in what you know. null: not known, a prior over the range stands for it."
+    yield "# l_f, C_alpha_f and C_alpha_r are inferred whatever stands here. On the command line prior.l_f=null takes"
+    yield "# the value here as exact, and 'prior.C_alpha_f=[low,high]' states the range that you know."
     yield f"name: {_yaml(name)}"
     for constant, what in MEANINGS.items():
         if constant == "track_f":

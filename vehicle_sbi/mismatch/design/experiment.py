@@ -32,6 +32,7 @@ from vehicle_sbi.physics.single_track import INPUTS
 
 HIDDEN = 2.0  # standard deviations, below which noise may hide that two models differ
 WORTH = 3.0  # from which a drive is worth naming, rather than another sensor
+SETTLED_S = 2.0  # [s], several times what a car takes to turn as it is steered
 WALKING = 1.5  # [m/s], above what readers leave out as too slow for the model
 STEERING, SPEED, ACCELERATION = (INPUTS.index(name) for name in ("steering", "v_x", "v_x_dot"))
 WHEELS = [INPUTS.index(name) for name in ("wheel_speed_front", "wheel_speed_rear")]
@@ -76,8 +77,12 @@ def _straight(simulator: Simulator) -> Simulator:
 
 
 def _circle(simulator: Simulator) -> Simulator:
+    """A circle that the car has settled into: how it gets there is no part of it."""
     steering = simulator.windows.u[..., STEERING]
-    return _steered(simulator, np.full(steering.shape, 0.7 * np.abs(steering).max()), 1.0)
+    circle = _steered(simulator, np.full(steering.shape, 0.7 * np.abs(steering).max()), 1.0)
+    windows, samples = circle.windows, steering.shape[1]
+    settled = np.arange(samples) >= min(round(SETTLED_S * windows.rate), samples // 2)
+    return replace(circle, windows=replace(windows, valid=windows.valid & np.tile(settled, len(steering))))
 
 
 def _quicker(simulator: Simulator) -> Simulator:

@@ -104,7 +104,7 @@ class Diagnosis(Setup):
             held_out=proving,
             held_out_names=names,
             apart=apart,
-            notes=(*left_out, *observation.simulator.windows.notes),
+            notes=(*left_out, *self.unheeded(space), *observation.simulator.windows.notes),
             warnings=warnings,
             inputs=inputs,
             effect_prior=self.effect_prior,
