@@ -66,18 +66,17 @@ def _with_file_option(argument: str, own: Sequence[Path]) -> list[str]:
     `mapping=PATH` is the path in the place of the recording's mapping. A column's name may hold what Hydra's grammar
     reserves, as in `Time [s]`, and any value letters that it does not know. A parameter may be new to the prior.
     """
-    group, _, value = argument.partition("=")
-    if re.match(r"\+?prior\.", group):
-        group, argument = f"++{group.lstrip('+')}", f"++{argument.lstrip('+')}"
-    elif is_file(group, unquoted(value), own):
+    key, equals, value = argument.partition("=")
+    key = re.sub(r"^\+?(?=prior\.)", "++", key)
+    if is_file(key, unquoted(value), own):
         value = unquoted(value)
-    if group == TIME and not re.fullmatch(r"[\w.-]*|'.*'|\".*\"", value):
+    if key == TIME and not re.fullmatch(r"[\w.-]*|'.*'|\".*\"", value):
         return [f"{TIME}={quoted(value)}"]
-    if not is_file(group, value, own):
-        return [f"{group}={_with_quotes(value)}"] if value else [argument]
-    if group == "mapping":
+    if not is_file(key, value, own):
+        return [f"{key}{equals}{_with_quotes(value)}"]
+    if key == "mapping":
         return [f"recording.mapping={quoted(value)}"]
-    return [f"{group}=file", f"{group}.path={quoted(value)}"]
+    return [f"{key}=file", f"{key}.path={quoted(value)}"]
 
 
 def _with_quotes(value: str) -> str:
@@ -114,7 +113,6 @@ def _unquoted(override: str) -> str:
     path = unquoted(override.removeprefix("recording.mapping="))
     if path != override and is_file("mapping", path):
         return f"mapping={path}"
-    key, _, value = override.partition("=")
-    key = key.removeprefix("++") if key.startswith("++prior.") else key
-    override = f"{key}={value}" if value else override
-    return f"{key}={unquoted(value)}" if _is_foreign_word(unquoted(value)) else override
+    key, equals, value = override.partition("=")
+    word = unquoted(value) if _is_foreign_word(unquoted(value)) else value
+    return f"{key.removeprefix('++') if key.startswith('++prior.') else key}{equals}{word}"
