@@ -282,17 +282,35 @@ def test_a_file_that_stands_for_more_than_a_configuration_gets_one_line(folder: 
     assert said in done.stderr
 
 
-@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("moment", ["import", "work"])
-def test_an_interruption_at_any_moment_gets_one_line(folder: Path, asked: signal.Signals, moment: str) -> None:
-    waits = "open('waits', 'w').close(); import time; time.sleep(60)"
-    script = f"import _entry\n{waits}" if moment == "import" else SCRIPT.replace("raise KeyboardInterrupt", waits)
-    (folder / "script.py").write_text(script)
+WAITS = "open('waits', 'w').close(); import time; time.sleep(60)"
+LOST = """
+class Lost:
+    def __del__(self):
+        WAITS
+
+Lost()
+"""
+MOMENTS = {
+    "import": {"script.py": f"import _entry\n{WAITS}"},
+    "import of a target": {"targets.py": f"{WAITS}\n{TARGETS}"},
+    "import of a library that makes it its own error": {
+        "targets.py": f"try:\n    {WAITS}\nexcept BaseException as error:\n    raise OSError from error\n"
+    },
+    "import of a library that loses it": {"targets.py": LOST.replace("WAITS", WAITS) + "time.sleep(60)"},
+    "import of a library that ignores it": {
+        "targets.py": f"try:\n    {WAITS}\nexcept BaseException:\n    pass\nimport wave, colorsys\ntime.sleep(60)"
+    },
+    "work": {"script.py": SCRIPT.replace("raise KeyboardInterrupt", WAITS)},
+}
+
+
+def interrupted(folder: Path, asked: signal.Signals) -> tuple[int, str]:
+    """Exit status of a script that is interrupted as soon as there is a file `waits`, and what it prints."""
     search = os.pathsep.join([str(folder), str(ROOT / "scripts"), str(ROOT)])
     with subprocess.Popen(
         [sys.executable, "script.py", "does=interrupted"],
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": search},
+        env=os.environ | {"PYTHONPATH": search, "NUMBA_NUM_THREADS": "2"},
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # ignored in a background job
@@ -300,10 +318,63 @@ def test_an_interruption_at_any_moment_gets_one_line(folder: Path, asked: signal
         while not (folder / "waits").exists() and process.poll() is None:
             time.sleep(0.05)
         process.send_signal(asked)
-        _, said = process.communicate(timeout=20)
-    assert said.count("\n") == 1
+        try:
+            _, said = process.communicate(timeout=20)
+        finally:
+            process.kill()
+    return process.returncode, said
+
+
+@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_an_interruption_at_any_moment_gets_one_line(folder: Path, asked: signal.Signals, moment: str) -> None:
+    for name, text in MOMENTS[moment].items():
+        (folder / name).write_text(text)
+    status, said = interrupted(folder, asked)
+    assert said.count("\n") == 1, said
     assert "the same command continues" in said
-    assert process.returncode in (-asked, 128 + asked)  # as a shell reports either
+    assert status == 128 + asked
+
+
+BUSY = """
+import atexit, subprocess, sys, threading, time
+from multiprocessing import get_context
+from pathlib import Path
+from vehicle_sbi.threads import each
+
+children = [subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])]
+atexit.register(children[0].terminate)
+children.append(get_context("fork").Process(target=time.sleep, args=[60]))
+children[1].start()
+threading.Thread(target=time.sleep, args=[60]).start()
+
+def work(seconds):
+    Path("children").write_text(" ".join(str(child.pid) for child in children))
+    Path("waits").touch()
+    time.sleep(seconds)
+
+try:
+    each(work, [60, 60])
+finally:
+    Path("closed").touch()
+"""
+
+
+def test_an_interruption_waits_for_no_thread_and_leaves_no_process(folder: Path) -> None:
+    (folder / "busy.py").write_text(BUSY)
+    (folder / "script.py").write_text(SCRIPT.replace("raise KeyboardInterrupt", "import busy"))
+    status, said = interrupted(folder, signal.SIGTERM)
+    assert (status, said.count("\n")) == (143, 1), said
+    assert (folder / "closed").exists()
+    time.sleep(0.2)
+    for child in (folder / "children").read_text().split():
+        assert not is_running(int(child))
+
+
+def is_running(pid: int) -> bool:
+    """Whether there is such a process, other than one that has ended and is not waited for."""
+    state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True).stdout
+    return bool(state) and not state.startswith("Z")
 
 
 def test_the_name_of_a_study_does_not_depend_on_the_order_of_its_keys() -> None:

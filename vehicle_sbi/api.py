@@ -5,7 +5,7 @@ out.
 """
 
 import json
-import pydoc
+import pkgutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -381,7 +381,7 @@ def _built(group: str, name: str | Any, changes: Mapping[str, Any] | None = None
 
 
 def _constructed(node: Mapping[str, Any]) -> Any:
-    target: Any = pydoc.locate(node["_target_"])
+    target = pkgutil.resolve_name(node["_target_"])
     return target(**{key: _value(x) for key, x in node.items() if not key.startswith("_")})
 
 

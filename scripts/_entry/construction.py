@@ -3,7 +3,7 @@
 from _entry.targets import check_targets
 
 import inspect
-import pydoc
+import pkgutil
 import types
 import typing
 from collections.abc import Mapping
@@ -39,7 +39,10 @@ def check_construction(node: object, where: str = "") -> None:
 def signature(target: object, where: str) -> inspect.Signature:
     """The signature of what `target` names; raises InputError if there is no such thing to call."""
     check_targets({"_target_": target}, where)  # before it is imported
-    called = pydoc.locate(str(target))
+    try:
+        called = pkgutil.resolve_name(str(target))
+    except (ImportError, AttributeError, ValueError):
+        called = None
     if not callable(called):
         raise InputError(f"{where}: cannot import its _target_ '{target}'")
     return inspect.signature(called)

@@ -4,7 +4,7 @@ from _entry import configuration, help
 from _entry.command_line import spelled_out
 from _entry.construction import check_construction
 from _entry.failures import Failure, report, reported
-from _entry.interruption import LINE, status
+from _entry.interruption import behind, leave
 from _entry.sentences import sentence
 from _entry.user_files import check_config_folders
 
@@ -44,10 +44,9 @@ def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
                 sys.argv[1:] = spelled_out(sys.argv[1:])
                 check_config_folders(sys.argv[1:])
                 hydra.main(config_path=str(configuration.CONF), config_name=config_name, version_base=None)(job)()
-            except KeyboardInterrupt as interruption:
-                print(LINE, file=sys.stderr)
-                sys.exit(status(interruption))
-            except Exception as error:
+            except (Exception, KeyboardInterrupt) as error:
+                if interruption := behind(error):
+                    leave(interruption)
                 line = None if traceback_wanted else sentence(error)
                 if line is None:
                     raise
@@ -70,6 +69,8 @@ def _job(task: Task, traceback_wanted: bool) -> Task:
             check_construction(OmegaConf.to_container(cfg, resolve=True))
             return task(cfg)
         except Exception as error:
+            if interruption := behind(error):
+                raise interruption from error
             line = None if traceback_wanted else sentence(error)
             if line is None:
                 raise
