@@ -99,3 +99,21 @@ print(max(within), counts() == before, max(before))
     ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert ran.stdout.split()[:2] == ["1", "True"]
     assert int(ran.stdout.split()[2]) >= 2
+
+
+def test_an_interruption_does_not_wait_for_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "_used", 2)
+    begun, ends, done = threading.Event(), threading.Event(), list[bool]()
+
+    def work(first: bool) -> None:
+        if first:
+            begun.wait(10.0)
+            raise KeyboardInterrupt
+        begun.set()
+        ends.wait(2.0)
+        done.append(first)
+
+    with pytest.raises(KeyboardInterrupt):
+        each(work, [True, False])
+    assert done == []
+    ends.set()

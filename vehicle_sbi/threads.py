@@ -42,11 +42,18 @@ def algebra_on_one_thread() -> AbstractContextManager[object]:
 def each(work: Callable[[Thing], Result], things: Iterable[Thing]) -> list[Result]:
     """work(thing) of each, in their order, on as many threads as there are cores; raises what any of them raises.
 
+    An interruption does not wait for them: each computes its last thing, and the result is lost.
     What runs on a thread may use all cores as well, so that the last one leaves none idle.
     """
     things = list(things)
     threads = min(cores(), len(things))
     if threads < 2:
         return [work(thing) for thing in things]
-    with ThreadPoolExecutor(threads) as pool:
+    pool, wait = ThreadPoolExecutor(threads), True
+    try:
         return list(pool.map(work, things))
+    except KeyboardInterrupt:
+        wait = False
+        raise
+    finally:
+        pool.shutdown(wait=wait, cancel_futures=True)
