@@ -88,6 +88,24 @@ def test_the_value_of_a_flag_is_no_recording() -> None:
         assert VERBS["run"].arguments([flag, "job", "drive.csv"]) == [flag, "job", "recording=drive.csv"]
 
 
+def test_a_slip_keeps_the_words_that_it_consists_of() -> None:
+    assert VERBS["diagnose"].arguments(["--vehicle", "car.yaml"]) == ["--vehicle", "car.yaml"]
+    assert VERBS["diagnose"].arguments(["a.csv", "mapping=", "b.yaml"]) == ["recording=a.csv", "mapping=", "b.yaml"]
+    assert VERBS["diagnose"].arguments(["--multirun", "a.csv"]) == ["--multirun", "recording=a.csv"]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--recording x.csv", "unknown option --recording: keys are written without dashes, recording=x.csv"),
+        ("x.csv mapping = map.yaml", "leave no blanks around '=': write mapping=map.yaml"),
+    ],
+)
+def test_a_slip_gets_one_line(words: str, line: str) -> None:
+    ran = command("diagnose", *words.split())
+    assert (ran.returncode, ran.stdout, ran.stderr) == (2, "", f"error: {line}\n")
+
+
 def test_completion_is_a_script_that_bash_reads() -> None:
     checked = subprocess.run(["bash", "-n"], input=completion(), text=True, capture_output=True)
     assert checked.returncode == 0, checked.stderr

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import IO
 
 import pytest
 import yaml
@@ -40,6 +41,8 @@ def main(cfg):
         case "full disk":
             with open("/dev/full", "w") as file:
                 file.write("a")
+        case "prints":
+            print("a" * cfg.letters)
         case "protected":
             raise PermissionError(13, "Permission denied", "/protected/table.csv")
         case "needs":
@@ -116,14 +119,17 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run(
+    folder: Path, *arguments: str, stdout: IO[str] | int = subprocess.PIPE, **environment: str
+) -> subprocess.CompletedProcess[str]:
     search = os.pathsep.join([str(folder), str(ROOT / "scripts"), str(ROOT)])
     inherited = {key: value for key, value in os.environ.items() if key != "HYDRA_FULL_ERROR"}
     return subprocess.run(
         [sys.executable, "script.py", *arguments],
         cwd=folder,
         env=inherited | {"PYTHONPATH": search} | environment,
-        capture_output=True,
+        stdout=stdout,
+        stderr=subprocess.PIPE,
         text=True,
         timeout=60,
     )
@@ -192,6 +198,20 @@ WRONG: Mapping[str, tuple[str, str]] = {
         "experiment=not_yaml",
         "{folder}/conf/experiment/not_yaml.yaml, line 2: not valid YAML: ",
     ),
+    "a key with dashes": ("--seed 1", "unknown option --seed: keys are written without dashes, seed=1"),
+    "a key and value with dashes": ("--seed=1 -m", "unknown option --seed: keys are written without dashes, seed=1"),
+    "dashes before another key": (
+        "--seed rounds.count=1",
+        "unknown option --seed: keys are written without dashes, seed=…",
+    ),
+    "a key with one dash": (
+        "-rounds 1",
+        "argument --run/-r: ignored explicit argument 'ounds'; keys are written without",
+    ),
+    "a flag between keys": ("-m seed=1 -r does=x", "does=x stands apart from other keys: write flags, as -m, before"),
+    "blanks around =": ("-m rounds = single", "leave no blanks around '=': write rounds=single"),
+    "a blank before =": ("-m rounds =single", "leave no blanks around '=': write rounds=single"),
+    "a blank behind =": ("-m rounds= single", "leave no blanks around '=': write rounds=single"),
     "protected file": ("does=protected", "cannot write /protected/table.csv: permission denied"),
 }
 
@@ -199,7 +219,7 @@ WRONG: Mapping[str, tuple[str, str]] = {
 @pytest.mark.parametrize("case", WRONG)
 def test_a_wrong_value_gets_one_line_and_leaves_no_folder(folder: Path, case: str) -> None:
     given, line = WRONG[case]
-    done = run(folder, *given.split(" ") if given.startswith("--") else [given])
+    done = run(folder, *given.split(" ") if given.startswith("-") else [given])
     assert (done.returncode, done.stderr.count("\n"), done.stdout) == (2, 1, "")
     assert done.stderr.startswith(f"error: {line.replace('{folder}', str(folder))}")
     assert not list(folder.glob("outputs/*"))
@@ -214,6 +234,26 @@ def test_a_full_disk_gets_one_line(folder: Path) -> None:
         2,
         f"error: cannot write {folder}/outputs/{name}: no space left on device\n",
     )
+
+
+LONG = 100_000  # letters, more than any buffer holds
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("letters", [1, LONG])
+def test_standard_output_that_takes_no_more_is_named(folder: Path, letters: int) -> None:
+    with open("/dev/full", "w") as full:
+        done = run(folder, "does=prints", f"+letters={letters}", stdout=full)
+    assert (done.returncode, done.stderr) == (2, "error: cannot write standard output: no space left on device\n")
+
+
+@pytest.mark.parametrize("letters", [1, LONG])
+def test_a_reader_that_reads_no_further_ends_a_script_quietly(folder: Path, letters: int) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as unread:
+        done = run(folder, "does=prints", f"+letters={letters}", stdout=unread)
+    assert (done.returncode, done.stderr) == (141, "")
 
 
 def test_a_bug_keeps_its_traceback(folder: Path) -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
+from typing import NoReturn
 
 PACKAGE = Path(__file__).resolve().parent
 RECORDINGS = PACKAGE / "recordings"
@@ -27,6 +28,7 @@ SCRIPTS, CONF = _folder("scripts"), _folder("conf")
 HELP = ("--help", "-h")
 SAY_ONLY = (*HELP, "--cfg", "-c", "--info", "-i", "--hydra-help", "--version")  # with which nothing is done
 TAKE_A_VALUE = ("--cfg", "-c", "--package", "-p", "--info", "-i", "--config-dir", "-cd", "--config-name", "-cn")
+ALONE = ("--run", "--multirun", "--resolve", "--shell-completion")  # flags without a value
 USAGE = "vehicle-sbi VERB key=value …"
 MORE = "vehicle-sbi VERB --help says more; --version the version; --completion a script for bash or zsh"
 
@@ -55,7 +57,7 @@ class Verb:
         """The script's arguments: a file alone becomes the value of its key. Raises ValueError for a second one."""
         before = ["", *typed]
         files = [word for word, after in zip(typed, before, strict=False) if self._is_file(word, after)]
-        if len(files) > 1:
+        if len(files) > 1 and "=" not in typed:  # alone it is a slip, which the script names
             several = "; several drives are 'recordings=[a.csv,b.csv]'" if self.script == "diagnose" else ""
             raise ValueError(f"'{files[0]}' and '{files[1]}': one is taken, as in {self.file}=FILE{several}")
         return [*self.given, *(self._spelled(word, after) for word, after in zip(typed, before, strict=False))]
@@ -64,8 +66,8 @@ class Verb:
         return f"{self.file}={word}" if self._is_file(word, after) else word
 
     def _is_file(self, word: str, after: str) -> bool:
-        plain = "=" in word or word.startswith(("-", "+", "~")) or after in TAKE_A_VALUE
-        return self.file is not None and not plain
+        value = after in TAKE_A_VALUE or after.endswith("=") or (after.startswith("--") and after not in ALONE)
+        return self.file is not None and not (value or "=" in word or word.startswith(("-", "+", "~")))
 
 
 VERBS: Mapping[str, Verb] = {
@@ -95,8 +97,18 @@ def main() -> None:
         _main(sys.argv[1:])
         sys.stdout.flush()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more is written as Python ends
-        sys.exit(128 + 13)  # as if SIGPIPE had ended it
+        leave_unread()
+
+
+def leave_unread() -> NoReturn:
+    """End where nobody reads on, with the status of a process that SIGPIPE has ended."""
+    discard_output()
+    sys.exit(128 + 13)
+
+
+def discard_output() -> None:
+    """Have nothing more written to standard output, as Python does in the end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def print_anywhere() -> None:

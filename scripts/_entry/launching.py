@@ -5,7 +5,9 @@ from _entry.command_line import spelled_out
 from _entry.construction import check_construction
 from _entry.failures import Failure, report, reported
 from _entry.interruption import behind, leave
+from _entry.output import flush_or_discard, leave_if_unread
 from _entry.sentences import sentence
+from _entry.slips import check_slips
 from _entry.user_files import check_config_folders
 
 import functools
@@ -26,7 +28,8 @@ Task = Callable[[DictConfig], object]
 def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
     """Make a script's main function from one that takes its composed configuration, `conf/CONFIG_NAME.yaml`.
 
-    The main function exits with status 2 after a wrong value, 130 after Ctrl-C and 143 after SIGTERM.
+    The main function exits with status 2 after a wrong value, 130 after Ctrl-C, 143 after SIGTERM, and 141
+    where nobody reads on what it prints.
     """
 
     def decorate(task: Task) -> Callable[[], None]:
@@ -41,17 +44,22 @@ def launch(config_name: str) -> Callable[[Task], Callable[[], None]]:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, instead of printing in its own way
             os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))  # a sweep's jobs find what this finds
             try:
+                check_slips(sys.argv[1:])
                 sys.argv[1:] = spelled_out(sys.argv[1:])
                 check_config_folders(sys.argv[1:])
                 hydra.main(config_path=str(configuration.CONF), config_name=config_name, version_base=None)(job)()
+                if not reported:
+                    print(end="", flush=True)
             except (Exception, KeyboardInterrupt) as error:
                 if interruption := behind(error):
                     leave(interruption)
+                leave_if_unread(error)
                 line = None if traceback_wanted else sentence(error)
                 if line is None:
                     raise
                 report(line)
             if reported:
+                flush_or_discard()
                 sys.exit(2)
 
         return main
@@ -71,6 +79,7 @@ def _job(task: Task, traceback_wanted: bool) -> Task:
         except Exception as error:
             if interruption := behind(error):
                 raise interruption from error
+            leave_if_unread(error)
             line = None if traceback_wanted else sentence(error)
             if line is None:
                 raise

@@ -2,6 +2,7 @@
 
 from _entry.configuration import groups
 from _entry.construction import signature
+from _entry.output import refusal
 from _entry.targets import allowed
 
 import errno
@@ -112,6 +113,8 @@ def _refused_file(error: OSError) -> str | None:
         error = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     if error.errno not in REFUSALS:
         return None
+    if error.filename is None and refusal() is not None:
+        return f"cannot write standard output: {os.strerror(error.errno).lower()}"
     path = str(error.filename or HydraConfig.get().runtime.output_dir)  # a full disk does not say for which file
     unreadable = os.path.exists(path) and not os.access(path, os.R_OK)
     verb = "read" if unreadable or error.errno in (errno.ENOENT, errno.EISDIR) else "write"
