@@ -33,8 +33,8 @@ def diagnosed() -> tuple[Case, Found, Verdict]:
     observation = recorded(lateral(), body_roll__gradient=0.012)
     held_out, base = recorded(lateral(), seed=1, body_roll__gradient=0.012), fitted(observation)
     case = Case(
-        HOSTILE, observation, None, held_out, (HOSTILE,), True, (f"a note {HOSTILE}",), (f"a warning {HOSTILE}",), {},
-        stated(),
+        HOSTILE, observation, None, held_out, (HOSTILE,), True, (f"a note {HOSTILE}",), (f"a warning {HOSTILE}",), (),
+        {}, stated(),
     )  # fmt: skip
     known = [d for d in left_out(base.simulator, base.theta) if d.effect in EFFECTS]
     seen, examined = (

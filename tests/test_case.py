@@ -80,6 +80,20 @@ def test_of_many_recordings_whole_ones_are_held_out_and_no_more_are_used_than_wi
     )
 
 
+def test_a_channel_that_is_wrong_is_told_from_what_is_worth_a_warning_alone(tmp_path: Path) -> None:
+    flipped, coarse = (written(tmp_path / f"{name}.csv", seed) for seed, name in enumerate(("flipped", "coarse")))
+    column = CHANNELS["a_y"].column
+    for path, change in ((flipped, lambda a_y: -a_y), (coarse, lambda a_y: np.round(a_y))):
+        table = pd.read_csv(path)
+        table.assign(**{column: change(table[column])}).to_csv(path, index=False)
+    case = diagnosis([flipped, coarse], [written(tmp_path / "held.csv", 2)]).prepare()
+    (wrong,) = case.wrong
+    assert wrong.startswith("flipped: ")
+    assert "is a_y flipped?" in wrong or "is a_y or yaw_rate flipped?" in wrong
+    assert wrong in case.warnings
+    assert [line for line in case.warnings if line.startswith("coarse: ")]
+
+
 def test_without_held_out_recordings_blocks_of_time_are_held_out(tmp_path: Path) -> None:
     case = diagnosis([written(tmp_path / "a.csv", 0)], window_s=2.0).prepare()
     fitted, held = (o.simulator.windows for o in (case.observation, case.held_out))

@@ -163,16 +163,30 @@ def test_where_nothing_is_missing_it_is_said_which_effects_would_have_shown() ->
 def test_a_headline_has_at_most_25_words_however_many_names_there_are() -> None:
     names = [*CATALOGUE]
     group = ["lateral_load_transfer", "road_grade_profile"]
-    for n, p_unknown in itertools.product((0, 1, 4, 5, len(names)), (0.1, 0.97)):
+    for n, p_unknown, wrong in itertools.product((0, 1, 4, 5, len(names)), (0.1, 0.97), ([], ["a: is a_y flipped?"])):
         effects = dict.fromkeys((name for name in names[:n] if name not in group), 0.97)
         answer: Any = SimpleNamespace(
             detected=True, p_value=0.004, effects=effects, p_unknown=p_unknown,
-            indistinguishable=[group] * 3, p_indistinguishable=[0.97] * 3,
+            indistinguishable=[group] * 3, p_indistinguishable=[0.97] * 3, wrong_recordings=wrong,
         )  # fmt: skip
         said = headline(answer, trusted=False)
         assert len(said.split()) <= 25
-        assert said.startswith("The base fit is doubtful. Missing: ")
+        begun = "The recordings look wrong (see the warnings)." if wrong else "The base fit is doubtful."
+        assert said.startswith(f"{begun} Missing: ")
         assert said.endswith("something unknown (0.97).") == (p_unknown > NAMED)
+
+
+@pytest.mark.parametrize("detected", [False, True])
+def test_that_recordings_look_wrong_is_said_first_whatever_is_missing(detected: bool) -> None:
+    answer: Any = SimpleNamespace(
+        detected=detected, p_value=0.004, effects={}, p_unknown=0.9, indistinguishable=[], p_indistinguishable=[],
+        wrong_recordings=["a: is a_y flipped?"],
+    )  # fmt: skip
+    said = headline(answer, trusted=True)
+    assert said.startswith("The recordings look wrong (see the warnings). ")
+    assert len(said.split()) <= 25
+    answer.wrong_recordings = []
+    assert headline(answer, trusted=True) in said
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,10 @@ from vehicle_sbi.data.checks.drive import Drive, Finding, drive_of
 from vehicle_sbi.data.checks.limits import LIMITS, absurd, beyond_limits, spoken_runs
 from vehicle_sbi.data.recording import Recording
 
-__all__ = ["LIMITS", "Finding", "absurd", "examine", "findings", "spoken_runs"]
+__all__ = ["LIMITS", "WRONG", "Finding", "absurd", "examine", "findings", "spoken_runs"]
+
+WRONG = frozenset({"unit", "sign", "axes", "gravity", "shift"})
+"""Faults by which a channel is another than its name says; the others (offsets, broken samples) leave it what it is."""
 
 
 def findings(recording: Recording) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.formats.registry import read_tables
 from vehicle_sbi.data.formats.table import Table, no_times
 from vehicle_sbi.data.mapping import Candidates, ChannelSource, built, mapping_file, native, sources
-from vehicle_sbi.data.plausibility import LIMITS, absurd, findings, spoken_runs
+from vehicle_sbi.data.plausibility import LIMITS, WRONG, absurd, examine, spoken_runs
 from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.data.time_units import FASTEST, guessed
 from vehicle_sbi.data.units import factor, known_unit
@@ -114,7 +114,12 @@ class RecordingFile:
             mappings={str(path): sha256(path) for path in mappings},
             notes=tuple(_once(notes, series)),
         )
-        return replace(recording, warnings=findings(recording))
+        found = examine(recording)
+        return replace(
+            recording,
+            warnings=tuple(one.sentence for one in found),
+            wrong=tuple(one.sentence for one in found if one.fault in WRONG),
+        )
 
     def series(self, notes: list[str]) -> dict[str, Series]:
         """This file's channels in SI, each on the clock of its table and with its group; `notes` grows."""

@@ -20,7 +20,8 @@ from vehicle_sbi.errors import InputError, unknown
 class Recording:
     """Channels on a uniform grid `t` [s] at `rate` [Hz]; `notes` lists what was filled, left out, resampled, flagged.
 
-    `warnings` says what the drive contradicts: signs, units, axes, offsets.
+    `warnings` says what the drive contradicts: signs, units, axes, offsets; `wrong` has those of them by which a
+    channel is another than its name says.
     `unmasked` is the recording before parts of it were made absent, None if none were.
     `source` names the files it was read from; `files` has the SHA-256 of each, `mappings` those of the files that say
     what columns mean. Raises InputError for a channel that is not in `CHANNELS`.
@@ -37,6 +38,7 @@ class Recording:
     mappings: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    wrong: tuple[str, ...] = ()
     unmasked: "Recording | None" = None
 
     def __post_init__(self) -> None:

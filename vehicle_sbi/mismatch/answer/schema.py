@@ -141,7 +141,8 @@ class Verdict:
     for each other, `p_indistinguishable`: how probable it is that any of each is missing; `could_show` and `invisible`:
     which the recordings would have shown with a power of 80 %, and which they could not, beside others either;
     `cannot_act`: which change nothing here whatever their size, and why; `unsupported`: effects that may as well not be
-    missing, the likeliest first; `warnings`: those of the notes that say why the fit may not be relied on.
+    missing, the likeliest first; `warnings`: those of the notes that say why the fit may not be relied on;
+    `wrong_recordings`: those of the warnings that say a channel is wrong (unit, sign, axis, gravity, clock).
     """
 
     schema: int
@@ -167,6 +168,7 @@ class Verdict:
     cannot_act: dict[str, str]
     unsupported: list[Unsupported]
     warnings: list[str]
+    wrong_recordings: list[str]
     notes: list[str]
     sentence: str
 

@@ -108,10 +108,11 @@ def verdict(case: Case, found: Found) -> Verdict:
         cannot_act=found.seen.cannot_act,
         unsupported=_unsupported(pruned) if pruned and detected else [],
         warnings=warnings,
+        wrong_recordings=[*case.wrong],
         notes=[*warnings, *_unpredicted(found), *case.notes],
         sentence="",
     )
-    trusted = found.fit_check.trusted and not _cornered(found.base, "base")
+    trusted = found.fit_check.trusted and not _cornered(found.base, "base") and not case.wrong
     return _in_words(answer, found, trusted=trusted)
 
 

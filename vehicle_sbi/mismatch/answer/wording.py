@@ -43,7 +43,7 @@ ADDED = {"payload.mass": "m"}  # those that add to it
 @dataclass(frozen=True)
 class Context:
     """What the words need beside the answer: the base model's simulator, what the recordings could show, predictions,
-    and whether the base fit may be relied on."""
+    and whether recordings and base fit may be relied on."""
 
     simulator: Simulator
     seen: Card
@@ -53,15 +53,23 @@ class Context:
 
 def headline(answer: Verdict, *, trusted: bool) -> str:
     """What is missing, in at most 25 words."""
+    begun = _begun(answer, trusted=trusted)
     if not answer.detected:
-        return f"Nothing is missing as far as these recordings can tell ({spoken_p(answer.p_value)})."
-    begun = "" if trusted else "The base fit is doubtful. "
+        return f"{begun}Nothing is missing as far as these recordings can tell ({spoken_p(answer.p_value)})."
     named, unknown = [*_named(answer)], answer.p_unknown if answer.p_unknown > NAMED else 0.0
     if not named:
         differ = f"Simulation and recording differ ({spoken_p(answer.p_value)})"
         return f"{begun}{differ}, and no known effect explains it for certain."
     tried = (_missing(begun, named, spelled, unknown) for spelled in range(min(len(named), IN_HEADLINE), 0, -1))
     return next((said for said in tried if len(said.split()) <= WORDS), _missing(begun, named, 1, unknown))
+
+
+def _begun(answer: Verdict, *, trusted: bool) -> str:
+    """What has to be known before anything else: that recordings look wrong, on which any fit is doubtful, or else that
+    the fit is, of which something is said to be missing."""
+    if answer.wrong_recordings:
+        return "The recordings look wrong (see the warnings). "
+    return "The base fit is doubtful. " if answer.detected and not trusted else ""
 
 
 def spoken_p(p_value: float) -> str:

@@ -35,8 +35,8 @@ NO_DRAWS = DrawnProcessNoise(Mixture(np.zeros(0), np.zeros(0)), Mixture(np.zeros
 class Case:
     """Observations to fit and to hold out, with what was read on the way.
 
-    `warnings` are what recordings contradict; `naming` is the part of held-out recordings that helps to tell names
-    apart; `held_out` has seen none of that.
+    `warnings` are what recordings contradict, `wrong` those of them that say a channel is wrong; `naming` is the part
+    of held-out recordings that helps to tell names apart; `held_out` has seen none of that.
     """
 
     name: str
@@ -47,6 +47,7 @@ class Case:
     apart: bool
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+    wrong: tuple[str, ...]
     inputs: dict[str, str]
     effect_prior: EffectPrior
 
@@ -75,8 +76,9 @@ class Diagnosis(Setup):
         inputs = {path: digest for _, recording in (*training, *held) for path, digest in recording.inputs.items()}
         cut = replace(self, window_s=self._window_s(training, held))
         names = tuple(recording.name for _, recording in held)
-        read = (recording for _, recording in (*training, *held))
+        read = [recording for _, recording in (*training, *held)]
         warnings = tuple(f"{recording.name}: {line}" for recording in read for line in recording.warnings)
+        wrong = tuple(f"{recording.name}: {line}" for recording in read for line in recording.wrong)
         if not held:
             training, held = cut.blocks(training)
             names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
@@ -106,6 +108,7 @@ class Diagnosis(Setup):
             apart=apart,
             notes=(*left_out, *self.unheeded(space), *observation.simulator.windows.notes),
             warnings=warnings,
+            wrong=wrong,
             inputs=inputs,
             effect_prior=self.effect_prior,
         )
