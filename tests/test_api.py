@@ -75,7 +75,7 @@ def diagnosed(**found: Any) -> Diagnosed:
         lines=["One line."],
         warnings=["a_y < b_y."],
         effects={"a<b": 0.9, "other": 0.1},
-        base_parameters={"l_f": {"before": before, "after": after, "unit": "m"}},
+        base_parameters={"l_f": {"before": before, "after": after, "unit": "m", "identified": True}},
     )
     case: Any = SimpleNamespace(name="a car in a drive")
     steps: Any = SimpleNamespace(**found)
@@ -84,6 +84,7 @@ def diagnosed(**found: Any) -> Diagnosed:
 
 def test_parameters_of_a_diagnosis_are_a_table_before_and_after() -> None:
     row = {"parameter": "l_f", "unit": "m", "mean before": 1.2, "std before": 0.1, "mean after": 1.4, "std after": 0.2}
+    row["identified"] = True
     pd.testing.assert_frame_equal(diagnosed().parameters, pd.DataFrame([row]))
 
 

@@ -342,6 +342,17 @@ def test_a_diagnosis_gives_its_averaged_parameters_and_the_effects_it_names(tmp_
     assert everything["body_roll.gradient"] == numbers(0.006, 0.001, "rad/(m/s^2)") | {"probability": 0.95}
 
 
+@pytest.mark.parametrize(("part", "known"), [(0.80, False), (0.72, False), (0.70, True), (0.3, True)])
+def test_a_base_parameter_whose_posterior_is_its_prior_is_not_exported(
+    tmp_path: Path, part: float, known: bool
+) -> None:
+    """Within its box a normal prior of the box's spread, which is what a diagnosis has, is 0.81 times as wide as it."""
+    base = {"l_f": numbers(1.3, part * 0.6 / 12.0**0.5, "m"), "C_alpha_f": numbers(1.25e5, 6e3, "N/rad")}
+    diagnosis_of(tmp_path, base_parameters={name: {"after": e, "unit": e["unit"]} for name, e in base.items()})
+    found = json.loads(texts(tmp_path, "json")["parameters.json"])
+    assert ("l_f" in found["parameters"], "l_f" in found["not_identified"]) == (known, not known)
+
+
 def test_a_named_stiffness_level_scales_the_axles(tmp_path: Path) -> None:
     table = run_of(tmp_path, MEANS | {"stiffness_level.factor": (0.8, 0.05, "1")})
     whole = json.loads(texts(tmp_path, "json")["parameters.json"])

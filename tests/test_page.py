@@ -17,10 +17,11 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.answer.schema import Unknown
 from vehicle_sbi.mismatch.answer.wording import TOO_SMALL, as_a_whole
 from vehicle_sbi.mismatch.estimation.estimate import Estimate
+from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics import sensors
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 from vehicle_sbi.report.page import parts
-from vehicle_sbi.report.page.diagnosis import CLAUSES, GROUPS, _explained, _unknown, _where
+from vehicle_sbi.report.page.diagnosis import CLAUSES, GROUPS, NOT_TOLD, _base, _explained, _range, _unknown, _where
 from vehicle_sbi.report.page.index import BROKEN, CALIBRATION, COMPLETE, DIAGNOSIS, RUN, UNFINISHED, rows, write_index
 from vehicle_sbi.report.page.page import Page, write_page
 from vehicle_sbi.report.page.parts import Listed, Picture, Section, Table, Words
@@ -105,6 +106,16 @@ def test_a_size_whose_name_leaves_something_open_is_explained_in_a_clause() -> N
     assert _explained("relaxation.front", some) == "front = 0.50 ± 0.10 m"
     assert CLAUSES.keys() <= EFFECT_PARAMETERS.keys()
     assert GROUPS.keys() <= {*sensors.GROUPS}
+
+
+def test_a_base_parameter_that_is_not_identified_is_said_so_on_the_page() -> None:
+    e = {"mean": 1.2, "std": 0.1, "q05": 1.0, "q95": 1.4}
+    p = Parameter(name="l_f", unit="m", low=1.0, high=1.5, fields=("l_f",))
+    for identified, remark in ((True, ""), (False, NOT_TOLD)):
+        values: Any = {"before": e, "after": e, "unit": "m", "identified": identified}
+        answer: Any = SimpleNamespace(base_parameters={"l_f": values})
+        assert _range(p, values).remark == remark
+        assert [*_base(answer)["identified"]] == [remark or "yes"]
 
 
 def test_a_page_has_no_table_without_rows_of_what_no_effect_explains() -> None:

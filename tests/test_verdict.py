@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recorded import fitted, lateral, recorded
+from scipy.stats import truncnorm
 from test_effect_prior import stated
 
 from vehicle_sbi.checkpoints import Checkpoints
@@ -20,7 +21,7 @@ from vehicle_sbi.inference.training import Training
 from vehicle_sbi.mismatch.answer.verdict import Found, _cut, _parameters, _share_explained, _unknown
 from vehicle_sbi.mismatch.answer.wording import NAMED, _limits, _sizes, headline
 from vehicle_sbi.mismatch.design.identifiability import card
-from vehicle_sbi.mismatch.estimation.estimate import Estimate
+from vehicle_sbi.mismatch.estimation.estimate import Estimate, told
 from vehicle_sbi.mismatch.estimation.fit import Fit, linearise
 from vehicle_sbi.mismatch.estimation.fit_check import FitCheck
 from vehicle_sbi.mismatch.estimation.model import Model
@@ -201,6 +202,17 @@ def test_a_limit_that_cuts_an_interval_is_said_of_what_is_told_at_all(mean: floa
     late = EFFECT_PARAMETERS["sensor_delay.imu"]  # beyond whose lower limit there is nothing
     pruned.expansion.base = (late,)
     assert _cut(pruned, {late.name: Estimate(0.01, 0.01, 0.0, 0.03, "s")}) == []
+
+
+def test_a_parameter_is_told_where_its_bound_is_below_its_priors_spread() -> None:
+    """1/std² = 1/prior² + 1/bound² of what is normal; a normal prior within its own box is 0.81 times as wide."""
+    low, high = 0.45, 0.65
+    prior = (high - low) / 12.0**0.5
+    for bound, is_told in ((0.99 * prior, True), (1.01 * prior, False)):
+        assert told((prior**-2 + bound**-2) ** -0.5, low, high) is is_told
+    untold = truncnorm.std(-(3.0**0.5), 3.0**0.5) * prior
+    assert untold == pytest.approx(0.814 * prior, rel=1e-3)
+    assert not told(untold, low, high)
 
 
 def test_a_mismatch_that_stands_out_nowhere_is_said_to_be_one_as_a_whole(base: Fit) -> None:

@@ -136,11 +136,13 @@ class Diagnosed:
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
-        """Each base parameter before, in the base model, and after, with what is missing averaged over."""
+        """Each base parameter before, in the base model, and after, with what is missing averaged over, and whether the
+        recordings identified it."""
         given: dict[str, Any] = self.verdict.base_parameters
         rows = [
             {"parameter": name, "unit": one["unit"]}
             | {f"{key} {when}": one[when][key] for when in ("before", "after") for key in ("mean", "std")}
+            | {"identified": one["identified"]}
             for name, one in given.items()
         ]
         return pd.DataFrame(rows)
@@ -192,6 +194,7 @@ class Diagnosed:
         base = given[["parameter", "unit"]].copy()
         for when in ("before", "after"):
             base[when] = [*map(mean_and_std, given[f"mean {when}"], given[f"std {when}"])]
+        base["identified"] = given["identified"].map({True: "yes", False: "no"})
         lines = _paragraphs([*self.verdict.lines, *self.verdict.warnings])
         return f"<h4>{escape(self.verdict.headline)}</h4>{lines}{html(effects)}{html(base)}"
 

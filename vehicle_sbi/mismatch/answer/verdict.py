@@ -22,7 +22,7 @@ from vehicle_sbi.mismatch.answer.schema import (
 from vehicle_sbi.mismatch.answer.wording import NAMED, Context, headline, lines, widen
 from vehicle_sbi.mismatch.design.experiment import advice
 from vehicle_sbi.mismatch.design.identifiability import Card
-from vehicle_sbi.mismatch.estimation.estimate import Estimate, drawn
+from vehicle_sbi.mismatch.estimation.estimate import Estimate, drawn, told
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.estimation.fit_check import FitCheck
 from vehicle_sbi.mismatch.estimation.model import Model
@@ -45,7 +45,7 @@ LEAST = 0.05  # probability from which one that is not is listed
 CORNERED = 2  # base parameters on rims, from which the fit is said to be in a corner
 MISFIT = 2.0  # times the sensor's own noise, from which what is left over is worth a warning
 CUT = 2.0  # standard deviations, within which a limit of its prior cuts a parameter's interval
-UNTOLD = 0.5  # of its prior's standard deviation, from which a parameter is as good as not told
+NARROW = 0.5  # of its prior's standard deviation, from which an interval is near the limits wherever it lies
 STUCK = 0.2  # share of the draws beyond a parameter's box, from which it would leave it
 
 
@@ -98,8 +98,13 @@ def verdict(case: Case, found: Found) -> Verdict:
         separating_experiment=_advice(case, found.extended),
         fit=fit,
         base_parameters={
-            name: {"before": _plain(before[name]), "after": _plain(after[name]), "unit": before[name].unit}
-            for name in before
+            p.name: {
+                "before": _plain(before[p.name]),
+                "after": _plain(after[p.name]),
+                "unit": p.unit,
+                "identified": told(after[p.name].std, p.low, p.high),
+            }
+            for p in found.base.fit.simulator.space.parameters
         },
         could_show={
             name: Visible(c.parameter.name, c.size, c.parameter.unit) for name, c in found.seen.could_show().items()
@@ -242,8 +247,8 @@ def _cut(pruned: Pruned | None, after: Mapping[str, Estimate]) -> list[str]:
     for p in pruned.expansion.base if pruned else ():
         one, spread = after[p.name], (p.high - p.low) / np.sqrt(12.0)
         off, limit = min((abs(one.mean - end), end) for end in (p.low, p.high))
-        told, near = one.std < UNTOLD * spread, off < CUT * one.std
-        if told and near and limit != p.null:
+        narrow, near = one.std < NARROW * spread, off < CUT * one.std
+        if narrow and near and limit != p.null:
             cut.append(f"{p.name} ({_nearer(p, one.mean)})")
     if not cut:
         return []

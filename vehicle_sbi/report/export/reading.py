@@ -16,7 +16,7 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.plausible import PLAUSIBLE
 from vehicle_sbi.inference.prior import KNOWN, flatten
 from vehicle_sbi.mismatch.answer.wording import NAMED
-from vehicle_sbi.mismatch.estimation.estimate import Estimate
+from vehicle_sbi.mismatch.estimation.estimate import Estimate, told
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.physics.vehicle import read as read_vehicle
 from vehicle_sbi.report import manifest, netcdf
@@ -24,7 +24,6 @@ from vehicle_sbi.report.export.exported import Exported, Inferred
 from vehicle_sbi.report.run_folder import FinishedRun
 from vehicle_sbi.report.run_folder import read as read_run
 from vehicle_sbi.report.tables.posterior import (
-    IDENTIFIED_CONTRACTION,
     NOT_LEARNED,
     maybe_none,
     on_edge,
@@ -183,7 +182,7 @@ def _base(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]]) 
     for name, one in verdict["base_parameters"].items():
         estimate = _estimate(one["after"], one["unit"], f"verdict.json: {name}")
         box = boxes.get(name)
-        yield name, _inferred(name, estimate, box, identified=_narrower(estimate, box))
+        yield name, _inferred(name, estimate, box, identified=_told(estimate, box))
 
 
 def _effects(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]]) -> Iterator[tuple[str, Inferred]]:
@@ -194,7 +193,7 @@ def _effects(verdict: Mapping[str, Any], boxes: Mapping[str, tuple[float, float]
         if probability > NAMED:
             estimate = _estimate(e, e["unit"], f"verdict.json: {name}")
             box = boxes.get(name)
-            yield name, _inferred(name, estimate, box, identified=_narrower(estimate, box), probability=probability)
+            yield name, _inferred(name, estimate, box, identified=_told(estimate, box), probability=probability)
 
 
 def _inferred(
@@ -215,11 +214,9 @@ def _inferred(
     )
 
 
-def _narrower(estimate: Estimate, box: tuple[float, float] | None) -> bool:
-    """Whether a posterior is narrower than its uniform prior by what counts as identified in a run's table."""
-    if not _finite(estimate):
-        return False
-    return box is None or 1.0 - 12.0 * (estimate.std / (box[1] - box[0])) ** 2 >= IDENTIFIED_CONTRACTION
+def _told(estimate: Estimate, box: tuple[float, float] | None) -> bool:
+    """Whether recordings told a parameter of a diagnosis, as far as its prior's box is known."""
+    return _finite(estimate) and (box is None or told(estimate.std, *box))
 
 
 def _caveats(verdict: Mapping[str, Any]) -> Iterator[str]:

@@ -52,6 +52,7 @@ CLAUSES = {  # what the name of a size leaves open
 GROUPS = {group: f"sensors of the mapping's group {group}" for group in ("can", "wheel_speed")}
 BAND = {"band": "its 90 % band"}
 PARAMETERS = {"base": "base model alone", "extended": "averaged over what may be missing"}
+NOT_TOLD = "not identified by these recordings"
 OF_CURVES = (
     "Where only the extended model meets the recorded signal, something was missing. Gaps: held out, beside it, "
     "or left out of the recording (notes)."
@@ -224,6 +225,7 @@ def _range(p: Parameter, values: Any) -> Range:
             Interval(model, e["q05"], e["mean"], e["q95"], minus(mean_and_std(e["mean"], e["std"])))
             for model, e in (("base", values["before"]), ("extended", values["after"]))
         ],
+        remark="" if values["identified"] else NOT_TOLD,
     )
 
 
@@ -297,6 +299,7 @@ def _base(answer: Verdict) -> pd.DataFrame:
                 "base model": mean_and_std(values["before"]["mean"], values["before"]["std"]),
                 "whatever is missing": mean_and_std(values["after"]["mean"], values["after"]["std"]),
                 "90 %": f"{values['after']['q05']:.4g} to {values['after']['q95']:.4g}",
+                "identified": "yes" if values["identified"] else NOT_TOLD,
             }
         )
     return pd.DataFrame(rows)
