@@ -45,9 +45,9 @@ def diagnosis(folder: Path, theta: pd.DataFrame, included: np.ndarray, *, keep: 
     """A diagnosis that names the lever arm, its estimates those of its draws."""
     estimates = {name: drawn(theta[name].to_numpy(), "m") for name in theta}
     plain = {name: asdict(e) for name, e in estimates.items()}
-    named = {"effects": ["imu_lever_arm"], "probability": 0.9, "parameters": {ARM: plain.pop(ARM)}}
+    named = {"effects": ["imu_lever_arm"], "probability": 0.96, "parameters": {ARM: plain.pop(ARM)}}
     base = {name: {"before": {}, "after": one, "unit": one["unit"]} for name, one in plain.items()}
-    diagnosis_of(folder, explanations=[named], effects={"imu_lever_arm": 0.9}, base_parameters=base)
+    diagnosis_of(folder, explanations=[named], effects={"imu_lever_arm": 0.96}, base_parameters=base)
     if keep:
         write(folder, theta, included)
 

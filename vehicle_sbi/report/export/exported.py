@@ -20,14 +20,13 @@ STEP = 1e-6  # of a value, or of 1 where that is larger, by which it is moved to
 
 @dataclass(frozen=True, kw_only=True)
 class Inferred:
-    """A free parameter, whether it is identified and, if it is not, `why_not`, whether it lies on the edge of its prior
-    or may as well be no effect at all, and how probable its effect is where that was asked."""
+    """A free parameter, whether it is identified and, if it is not, `why_not`, whether it lies on the edge of its
+    prior, and how probable its effect is where that was asked."""
 
     estimate: Estimate
     identified: bool
     why_not: str = "not identified from these recordings"
     on_edge: bool = False
-    maybe_none: bool = False
     probability: float | None = None
 
 

@@ -25,6 +25,7 @@ def plain_json(known: Exported) -> dict[str, str]:
         "parameters": {name: _plain(one) for name, one in known.identified.items()},
         "constants": _constants(known),
         "not_identified": list(known.not_identified),
+        "why_not_identified": {name: known.inferred[name].why_not for name in known.not_identified},
         "stated": dict(known.stated),
     }
     return {"parameters.json": json.dumps(content, indent=2, allow_nan=False) + "\n"}

@@ -16,7 +16,7 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.plausible import PLAUSIBLE
 from vehicle_sbi.inference.prior import KNOWN, flatten
 from vehicle_sbi.mismatch.answer.wording import NAMED
-from vehicle_sbi.mismatch.estimation.estimate import Estimate, told
+from vehicle_sbi.mismatch.estimation.estimate import Estimate, quantity, told
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.physics.vehicle import read as read_vehicle
 from vehicle_sbi.report import manifest, netcdf
@@ -42,6 +42,9 @@ ALLOWED_FOR = (
     "not look for what is missing; a diagnosis looks."
 )
 FEWEST = 30  # draws in which two parameters are there, from which they tell how those hang together
+THERE = (
+    0.95  # probability of an effect, below which a 90 % interval of its size, null where it is not, reaches the null
+)
 STRONG = 0.9  # correlation above which a run's parameters are to be used together or not at all
 INDEPENDENT = "A value made of several parameters takes them as independent: no samples of them together are stored."
 
@@ -204,14 +207,24 @@ def _inferred(
     identified: bool,
     probability: float | None = None,
 ) -> Inferred:
+    """A parameter, which is not identified either where it may as well be that of no effect."""
     null = KNOWN[name].null if name in KNOWN else None
-    return Inferred(
+    found = Inferred(
         estimate=estimate,
         identified=identified,
         on_edge=box is not None and on_edge(estimate.mean, *box, null),
-        maybe_none=box is not None and maybe_none(estimate.mean, estimate.std, *box, null),
         probability=probability,
     )
+    nothing = box is not None and maybe_none(estimate.mean, estimate.std, *box, null)
+    if identified and (nothing or (probability is not None and probability < THERE)):
+        return replace(found, identified=False, why_not=_compatible(name, estimate, probability))
+    return found
+
+
+def _compatible(name: str, e: Estimate, probability: float | None) -> str:
+    """That a size may as well be that of no effect, and what it would be."""
+    missing = "" if probability is None else f" if {name.split('.')[0]} is missing ({probability:.2f})"
+    return f"compatible with no effect; it would be {quantity('', e).removeprefix(' = ')}{missing}"
 
 
 def _told(estimate: Estimate, box: tuple[float, float] | None) -> bool:

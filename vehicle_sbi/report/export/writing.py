@@ -14,7 +14,7 @@ WIDTH = 110  # columns of a comment
 LEGEND = (
     "Values are posterior means. Beside each: unit; standard deviation; 5 % and 95 % quantiles; the parameters it is "
     "from. A value marked STATED is the vehicle file's, and nothing here has tested it. One ON THE EDGE OF ITS PRIOR "
-    "is a limit that was assumed rather than a measurement; one COMPATIBLE WITH NO EFFECT may as well not be there."
+    "is a limit that was assumed rather than a measurement. What is compatible with no effect is not written."
 )
 
 
@@ -120,10 +120,8 @@ def remark(known: Exported, entry: Entry) -> str:
         origin = f"std {rounded(e.std, e.std)}; 5 to 95 %: {low} to {high}; from {', '.join(value.slopes)}"
         origin += f", with {', '.join(entry.stated)} STATED" if entry.stated else ""
         edges = [name for name in value.slopes if known.inferred[name].on_edge]
-        nothing = [name for name in value.slopes if known.inferred[name].maybe_none]
         origin += "".join(f"; {condition}" for condition in _conditions(known, value.slopes))
         origin += f"; ON THE EDGE OF ITS PRIOR: {', '.join(edges)}" if edges else ""
-        origin += f"; COMPATIBLE WITH NO EFFECT: {', '.join(nothing)}" if nothing else ""
     else:
         origin = "STATED, not identified"
     return "; ".join(part for part in (unit, origin, entry.note) if part)
