@@ -15,7 +15,7 @@ CERTAIN = Gain(0.5, 0.1, 0.3, 0.7)
 
 
 def predicted(**nrmse: float) -> Prediction:
-    return Prediction(nrmse, 0.9, SCORE, {}, SERIES, SERIES, {})
+    return Prediction(nrmse, 0.9, SCORE, {}, SERIES, SERIES, {}, 12.0)
 
 
 def calmer(observation: Observation, factor: float) -> Observation:
@@ -29,7 +29,7 @@ DRIVEN = recorded(lateral())
 def test_what_gains_for_certain_on_a_drive_that_is_alike_is_accepted() -> None:
     found = judged(DRIVEN, DRIVEN, BOTH, CERTAIN)
     assert found.accepted
-    assert "0.5 ± 0.1" in found.because
+    assert "0.5 ± 0.1 of log score a sample on 12 s that were held out" in found.because
     assert "lower 90% bound 0.3" in found.because
 
 

@@ -85,7 +85,9 @@ def test_what_happened_at_a_moment_of_one_drive_did_not_happen_in_another(models
 
 def test_a_gain_is_the_mean_difference_and_its_error_that_of_blocks() -> None:
     series, score = np.zeros((1, 400)), np.zeros(4)
-    one = Prediction({}, 0.9, score, {"a_y": score, "yaw_rate": score}, series, series, {"a_y": 200, "yaw_rate": 200})
+    one = Prediction(
+        {}, 0.9, score, {"a_y": score, "yaw_rate": score}, series, series, {"a_y": 200, "yaw_rate": 200}, 4.0
+    )
     more = 100.0 * np.array([1.0, 3.0, 1.0, 3.0])
     found = gain(one, replace(one, log_score=more))
     assert found.mean == pytest.approx(2.0)

@@ -11,7 +11,6 @@ from cars import PAPER
 
 from vehicle_sbi.mismatch.answer.schema import Named, Outgrown, Unknown
 from vehicle_sbi.mismatch.answer.wording import (
-    NAMED,
     TOO_SMALL,
     _its_set,
     _left,
@@ -79,19 +78,37 @@ def test_what_the_extended_model_has_beside_the_headline_and_lacks_of_it() -> No
         explanations=[Named(("body_roll", "gust"), 0.6, 0.1, {}, {})],
         effects={"body_roll": 0.9, "relaxation": 0.6, "gust": 0.4},
     )
-    assert _its_set(answer).endswith("(probability 0.7): the effects above, with gust, without relaxation.")
+    said = _its_set(answer)
+    assert said.startswith(" Its set of effects is the likeliest, which 70 % of the draws have; base parameters are")
+    assert said.endswith(" Its own has the effects above, with gust, without relaxation.")
     answer.effects = {"body_roll": 0.9, "gust": 0.7, "relaxation": 0.1}
     assert _its_set(answer) == ""
 
 
-@pytest.mark.parametrize("probability", [0.01, 0.6])
-def test_an_extended_model_whose_set_is_one_of_many_comes_with_its_probability(probability: float) -> None:
+@pytest.mark.parametrize(
+    ("probabilities", "said"),
+    [
+        (
+            (0.010, 0.007, 0.006, 0.001),
+            "2 other sets of effects are about as likely as its own, which 1.6 % of the draws",
+        ),
+        ((0.4, 0.3), "Another set of effects is about as likely as its own, which 41 % of the draws have"),
+        ((0.4, 0.1), "Its set of effects is the likeliest, which 41 % of the draws have"),
+        ((0.6, 0.3), ""),
+    ],
+)
+def test_an_extended_model_comes_with_how_many_sets_are_about_as_likely(
+    probabilities: tuple[float, ...], said: str
+) -> None:
+    first, *others = probabilities
+    sets = [Named(("gust",), first, 0.006, {}, {}), *(Named(("gust", "payload"), p, 0.002, {}, {}) for p in others)]
     answer: Any = SimpleNamespace(
-        explanations=[Named(("gust",), probability, 0.006, {}, {})], effects={"gust": 0.9},
-        fit={"accepted": True, "accepted_because": "it gains"},
+        explanations=sets, effects={"gust": 0.9}, fit={"accepted": True, "accepted_because": "it gains"},
     )  # fmt: skip
-    said = _proof(answer, trusted=True)
-    assert ("the likeliest of many sets (probability 0.016)." in said) == (probability < NAMED)
+    line = _proof(answer, trusted=True)
+    assert said in line
+    assert ("averaged over all sets" in line) == bool(said)
+    assert "(probability" not in line
 
 
 @pytest.mark.parametrize(("p_unknown", "said"), [(0.52, TOO_SMALL), (0.4, "")])

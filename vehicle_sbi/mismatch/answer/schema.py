@@ -25,6 +25,11 @@ class Named:
     foretold: None = None  # no longer told apart: recordings that help to name count in the probabilities
 
     @property
+    def in_all(self) -> float:
+        """How probable the set is, whether anything is unknown beside it or not."""
+        return self.probability + self.beside_unknown
+
+    @property
     def sizes(self) -> dict[str, Estimate]:
         """The parameters, but for those that say when an effect acts."""
         return {name: e for name, e in self.parameters.items() if name.split(".")[-1] not in SPAN}
@@ -103,12 +108,13 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Score:
-    """A model's prediction of what was held out; CRPS in each channel's unit."""
+    """A model's prediction of what was held out, so many `seconds` of it; CRPS in each channel's unit."""
 
     nrmse: dict[str, float]
     crps: dict[str, float]
     log_score: float
     coverage90: float
+    seconds: float
 
 
 @dataclass(frozen=True)

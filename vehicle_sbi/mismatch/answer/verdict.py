@@ -266,7 +266,9 @@ def _unpredicted(found: Found) -> list[str]:
 
 
 def _score(prediction: Prediction) -> Score:
-    return Score(prediction.nrmse, prediction.mean_crps, prediction.mean_log_score, prediction.coverage90)
+    return Score(
+        prediction.nrmse, prediction.mean_crps, prediction.mean_log_score, prediction.coverage90, prediction.seconds
+    )
 
 
 def _on_rims(model: Model) -> list[tuple[Parameter, float]]:

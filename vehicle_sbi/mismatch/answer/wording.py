@@ -23,6 +23,7 @@ from vehicle_sbi.words import enumerated
 NAMED = 0.5  # probability from which an effect is named
 WORDS = 25  # of a headline at most
 IN_HEADLINE, IN_LINE = 4, 5  # effects, and sizes, that are spelled out at most
+RIVAL = 0.5  # of the likeliest set's probability, from which another is about as likely
 MOVED = 1.0  # standard deviations by which a base parameter moves, from which it is worth saying
 PARAMETERS = 3  # that are said to have moved at most
 HARDLY_COVERED = 0.75  # share of the 90 % band, below which what was held out is not what the model predicts
@@ -259,17 +260,21 @@ def _proof(answer: Verdict, *, trusted: bool) -> str:
 
 
 def _its_set(answer: Verdict) -> str:
-    """How probable the extended model's set of effects is, and what it has beside the effects that are likely one by
-    one, and lacks of them; nothing where it is those, and as likely as not."""
-    likeliest = answer.explanations[0]
-    probability = likeliest.probability + likeliest.beside_unknown
+    """How many sets of effects are about as likely as that of the extended model, and what this has beside the effects
+    that are likely one by one, and lacks of them; nothing where it is those, and as likely as not."""
+    likeliest, *others = answer.explanations
     has, named = likeliest.effects, [name for name, p in answer.effects.items() if p > NAMED]
     more, less = ([_plain(n) for n in a if n not in b] for a, b in ((has, named), (named, has)))
     unlike = [f"{word} {enumerated(names)}" for word, names in (("with", more), ("without", less)) if names]
-    if probability > NAMED and not unlike:
+    if likeliest.in_all > NAMED and not unlike:
         return ""
-    other = f": the effects above, {', '.join(unlike)}" if unlike else ""
-    return f" It has the likeliest of many sets (probability {probability:.2g}){other}."
+    rivals = sum(one.in_all >= RIVAL * likeliest.in_all for one in others)
+    own = f" Its own has the effects above, {', '.join(unlike)}." if unlike else ""
+    share = f"which {100.0 * likeliest.in_all:.2g} % of the draws have"
+    if not rivals:
+        return f" Its set of effects is the likeliest, {share}; base parameters are averaged over all sets.{own}"
+    alike = f"{rivals} other sets of effects are" if rivals > 1 else "Another set of effects is"
+    return f" {alike} about as likely as its own, {share}; base parameters are averaged over all sets.{own}"
 
 
 def _unlike(predictions: Mapping[str, Prediction]) -> Iterator[str]:

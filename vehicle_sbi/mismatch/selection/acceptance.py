@@ -37,9 +37,14 @@ def judged(
         return Acceptance(False, "; ".join(against))
     return Acceptance(
         True,
-        f"it gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample there (lower {CONFIDENT:.0%} bound "
-        f"{gained.low:.2g}), and predicts every channel better than its mean and none worse",
+        f"it gains {gained.mean:.2g} ± {gained.std:.1g} of log score a sample on {_scored(predictions)} (lower "
+        f"{CONFIDENT:.0%} bound {gained.low:.2g}), and predicts every channel better than its mean and none worse",
     )
+
+
+def _scored(predictions: Mapping[str, Prediction]) -> str:
+    """On how much both models were scored."""
+    return f"{predictions['extended'].seconds:.3g} s that were held out"
 
 
 def _unlike(fitted: Mapping[str, float], held: Mapping[str, float]) -> Iterator[str]:
@@ -67,8 +72,8 @@ def _unproved(predictions: Mapping[str, Prediction], gained: Gain | None) -> Ite
         return
     if not gained.certain:
         yield (
-            f"its gain of log score, {gained.mean:.2g} ± {gained.std:.1g} a sample, is not certain (lower "
-            f"{CONFIDENT:.0%} bound {gained.low:.2g})"
+            f"its gain of log score, {gained.mean:.2g} ± {gained.std:.1g} a sample on {_scored(predictions)}, is not "
+            f"certain (lower {CONFIDENT:.0%} bound {gained.low:.2g})"
         )
     if gained.worse:
         yield f"it predicts {' and '.join(gained.worse)} worse than the base model"

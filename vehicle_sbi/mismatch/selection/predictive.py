@@ -35,7 +35,7 @@ CONFIDENT = 0.9  # of the bounds on the gain
 class Prediction:
     """How a model predicts held-out recordings: error over the signal's spread of each channel, coverage of the 90 %
     band, log score of each block of time, the sum of each channel's CRPS [channel's unit] in each, and the series with
-    the band's half width."""
+    the band's half width, and over how many `seconds` anything was measured."""
 
     nrmse: dict[str, float]
     coverage90: float
@@ -44,6 +44,7 @@ class Prediction:
     y: Float[np.ndarray, "channels time"]
     half_width: Float[np.ndarray, "channels time"]
     samples: dict[str, int]
+    seconds: float
 
     @property
     def mean_log_score(self) -> float:
@@ -98,6 +99,7 @@ def predict(model: Model, held_out: Observation, *, apart: bool) -> Prediction |
         y=np.where(valid, held_out.observed - rest, there.at.y),
         half_width=half,
         samples={name: int(valid[i].sum()) for i, name in seen},
+        seconds=float(valid.any(axis=0).sum() / simulator.windows.rate),
     )
 
 

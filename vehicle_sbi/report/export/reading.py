@@ -42,9 +42,7 @@ ALLOWED_FOR = (
     "not look for what is missing; a diagnosis looks."
 )
 FEWEST = 30  # draws in which two parameters are there, from which they tell how those hang together
-THERE = (
-    0.95  # probability of an effect, below which a 90 % interval of its size, null where it is not, reaches the null
-)
+THERE = 0.95  # probability of an effect, below which the 90 % interval of its size in all draws reaches its null
 STRONG = 0.9  # correlation above which a run's parameters are to be used together or not at all
 INDEPENDENT = "A value made of several parameters takes them as independent: no samples of them together are stored."
 

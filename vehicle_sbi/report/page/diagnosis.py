@@ -250,10 +250,7 @@ def _effects(answer: Verdict, found: Found) -> pd.DataFrame:
 def _sets(answer: Verdict) -> pd.DataFrame:
     """The likeliest sets, whether anything is left over beside them or not, and none."""
     likeliest = answer.explanations[:SETS]
-    rows = [
-        {"probability": f"{one.probability + one.beside_unknown:.3f}", "effects": listed(one.effects)}
-        for one in likeliest
-    ]
+    rows = [{"probability": f"{one.in_all:.3f}", "effects": listed(one.effects)} for one in likeliest]
     rows.append({"probability": f"{answer.p_none:.3f}", "effects": "none"})
     return pd.DataFrame(rows)
 
