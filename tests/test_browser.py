@@ -91,6 +91,14 @@ def test_a_page_opens_without_network_or_error_and_never_scrolls_sideways(
     assert [entry for entry in browser.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")] == []
 
 
+def test_no_column_of_the_effects_is_cut_off_in_a_window_of_a_laptop(browser: Chrome, files: dict[str, Path]) -> None:
+    visit(browser, files["diagnosis"], width=1150)
+    browser.execute_script("document.querySelectorAll('details').forEach((one) => (one.open = true))")
+    table = browser.find_element(By.CSS_SELECTOR, ".table[aria-label='All effects']")
+    box, wide = (browser.execute_script(f"return arguments[0].{key}", table) for key in ("clientWidth", "scrollWidth"))
+    assert wide <= box
+
+
 @pytest.mark.parametrize("kind", ["diagnosis", "run"])
 def test_a_page_is_open_and_drawn_soon(browser: Chrome, files: dict[str, Path], kind: str) -> None:
     visit(browser, files[kind])

@@ -20,7 +20,7 @@ from vehicle_sbi.mismatch.estimation.estimate import Estimate
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics import sensors
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
-from vehicle_sbi.report.page import parts
+from vehicle_sbi.report.page import page, parts
 from vehicle_sbi.report.page.diagnosis import CLAUSES, GROUPS, NOT_TOLD, _base, _explained, _range, _unknown, _where
 from vehicle_sbi.report.page.index import BROKEN, CALIBRATION, COMPLETE, DIAGNOSIS, RUN, UNFINISHED, rows, write_index
 from vehicle_sbi.report.page.page import Page, write_page
@@ -29,6 +29,7 @@ from vehicle_sbi.report.page.run import headline
 from vehicle_sbi.report.page.thinning import thinned
 from vehicle_sbi.report.run_folder import RunFolder
 
+TEMPLATES = Path(page.__file__).parent / "templates"
 LARGEST = 5_000_000  # bytes of a page
 WORDS = 25  # of an explanation at most
 
@@ -116,6 +117,14 @@ def test_a_base_parameter_that_is_not_identified_is_said_so_on_the_page() -> Non
         answer: Any = SimpleNamespace(base_parameters={"l_f": values})
         assert _range(p, values).remark == remark
         assert [*_base(answer)["identified"]] == [remark or "yes"]
+
+
+def test_a_table_wraps_what_is_prose_and_keeps_numbers_and_names_on_a_line() -> None:
+    text = "an axle loses cornering stiffness as load moves"
+    drawn = Table(pd.DataFrame({"effect": ["relaxation"], "what it is": [text], "p": ["0.91"]})).markup
+    assert f'<td>relaxation</td><td class="prose">{text}</td><td class="number">0.91</td>' in drawn
+    style = (TEMPLATES / "style.css").read_text()
+    assert "td.prose { white-space: normal;" in style
 
 
 def test_a_page_has_no_table_without_rows_of_what_no_effect_explains() -> None:

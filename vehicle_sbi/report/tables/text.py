@@ -12,6 +12,7 @@ from vehicle_sbi.report.tables.symbols import minus
 from vehicle_sbi.rounding import mean_and_std, rounded
 
 SCREEN_WIDTH = 110
+LONG = 40  # characters of a cell, from which its column is of prose
 LEGEND = (
     "bound: Cramér-Rao bound of the standard deviation, which knows no prior: where that helps, a posterior may be "
     "narrower; contraction: 1 − (posterior std / prior std)²."
@@ -103,15 +104,21 @@ def markdown(frame: pd.DataFrame) -> str:
 
 def html(frame: pd.DataFrame) -> str:
     """A frame of text as an HTML table: escaped, with minus signs, and with powers (1e5 N, m^2) raised; columns that
-    are mostly numbers have the class `number`."""
-    of_numbers = [bool(frame[column].astype(str).str.match(r"[+-]?\d(?!e\d)").mean() > 0.5) for column in frame]
+    are mostly numbers have the class `number`, those with long text the class `prose`."""
+    classes = [_class(frame[column].astype(str)) for column in frame]
     rows = [("th", [*frame.columns]), *(("td", row) for row in frame.astype(str).to_numpy().tolist())]
-    lines = ["".join(map(_cell, row, [tag] * len(row), of_numbers)) for tag, row in rows]
+    lines = ["".join(map(_cell, row, [tag] * len(row), classes)) for tag, row in rows]
     return "<table>\n" + "\n".join(f"<tr>{line}</tr>" for line in lines) + "\n</table>"
 
 
-def _cell(text: str, tag: str, number: bool) -> str:
+def _class(column: pd.Series) -> str:
+    if column.str.match(r"[+-]?\d(?!e\d)").mean() > 0.5:
+        return "number"
+    return "prose" if (column.str.len() > LONG).any() else ""
+
+
+def _cell(text: str, tag: str, kind: str) -> str:
     """A cell of an HTML table, escaped, with minus signs and powers as such."""
     raised = re.sub(r"^1e(\d+)", r"10^\1", minus(text))
     shown = re.sub(r"\^(-?\d+)", r"<sup>\1</sup>", escape(raised))
-    return f'<{tag} class="number">{shown}</{tag}>' if number else f"<{tag}>{shown}</{tag}>"
+    return f'<{tag} class="{kind}">{shown}</{tag}>' if kind else f"<{tag}>{shown}</{tag}>"
