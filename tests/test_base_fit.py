@@ -62,7 +62,7 @@ def test_a_model_on_several_rims_is_named_first_and_its_effects_are_none_of_them
     assert [line.split(":")[0] for line in said] == list(cornered.simulator.space.names[:2])
     (first,) = _cornered(model, "extended")
     assert first.startswith("The extended model's best fit is at bounds of 2 priors at once")
-    assert all(f"'+prior.{p.name}=[" in first for p in cornered.simulator.space.parameters[:2])
+    assert all(f"'prior.{p.name}=[" in first for p in cornered.simulator.space.parameters[:2])
     own = replace(model, base=cornered.simulator.space.names[1:], effects=("l_f",))
     assert len(_rim(own, "extended")) == 1
     assert _cornered(own, "extended") == []

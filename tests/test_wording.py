@@ -119,17 +119,17 @@ def test_something_unknown_that_no_force_or_sensor_shows_has_its_line(p_unknown:
         answer.unknown = Unknown((), [], [Outgrown({"mu": HALF}, {"mu": (0.3, 1.2)}, (), 0.6, {"mu": bound})], None)
         assert [*_shown(answer)] == [said] * bool(said)
         assert "mu would leave the prior" in _left(answer)
-        assert f"'+prior.mu={longer}'" in _left(answer)
+        assert f"'prior.mu={longer}'" in _left(answer)
 
 
 def test_a_parameter_at_a_bound_comes_with_the_words_that_widen_its_box() -> None:
     found = [("mu", (0.3, 1.2), 1.19), ("C_alpha_r", (5e4, 5e5), 5.1e4), ("steering_offset.angle", (-0.02, 0.04), 0.0)]
     said = widen(found)
-    assert "'+prior.mu=[0.3,1.5]'" in said
-    assert "'+prior.C_alpha_r=[25000,500000]'" in said  # half of it, as it cannot be negative
-    assert "'+prior.steering_offset.angle=[-0.04,0.04]'" in said
+    assert "'prior.mu=[0.3,1.5]'" in said
+    assert "'prior.C_alpha_r=[25000,500000]'" in said  # half of it, as it cannot be negative
+    assert "'prior.steering_offset.angle=[-0.04,0.04]'" in said
     for word in re.findall(r"'([^']*)'", said):
-        name, _, box = word.removeprefix("+prior.").partition("=")
+        name, _, box = word.removeprefix("prior.").partition("=")
         low, high = yaml.safe_load(box)
         at, box_before = next((at, before) for one, before, at in found if one == name)
         assert low <= box_before[0] < at < box_before[1] <= high

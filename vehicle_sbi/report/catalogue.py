@@ -107,7 +107,7 @@ def page(car: str, drive: str) -> str:
         "",
         "What a simple model leaves out. Every effect is always compiled in; at its null it vanishes exactly. Free",
         "some with `effects=[aero_drag,road_grade]`, one parameter alone with `effects=[sensor_lag.a_y]`, or state",
-        "their priors: `+prior.aero_drag.area=[0,1]`. What one channel has beside its group of sensors is only free",
+        "their priors: `prior.aero_drag.area=[0,1]`. What one channel has beside its group of sensors is only free",
         "where it is named. Times count from the first sample that is used, of all recordings one after another.",
         "",
         f"The pictures: {car} in {drive}; grey without the effect, blue with it.",

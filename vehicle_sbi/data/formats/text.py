@@ -186,7 +186,7 @@ def _repeated(path: Path, names: Sequence[str]) -> tuple[str, ...]:
 
 def _time(columns: Mapping[str, pd.Series]) -> str:
     """The column of time: the first usual name that is there, else the first of dates, and `time_s` if none is."""
-    lower = {without_brackets(name).strip().lower(): name for name in reversed(columns)}
+    lower = {without_brackets(name).strip().lower(): name for name in reversed(list(columns))}
     named = (lower[name] for name in TIMES if name in lower)
     dated = (name for name, column in columns.items() if seconds(column.dropna().head(1)) is not None)
     return next(itertools.chain(named, dated), "time_s")

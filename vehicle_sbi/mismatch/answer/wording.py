@@ -232,7 +232,7 @@ def _outgrown(unknown: Unknown | None) -> Sequence[Outgrown]:
 
 def widen(at_bounds: Sequence[tuple[str, tuple[float, float], float]]) -> str:
     """What to do about parameters that are at bounds: their names, their boxes, and where in them they are."""
-    words = " ".join(f"'+prior.{name}=[{low:g},{high:g}]'" for name, (low, high) in map(_longer, at_bounds))
+    words = " ".join(f"'prior.{name}=[{low:g},{high:g}]'" for name, (low, high) in map(_longer, at_bounds))
     return (
         f"Repeat with wider priors, {words}, or state what was measured in the vehicle file. "
         "Keep a limit that is certain."
