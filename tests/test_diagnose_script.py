@@ -87,7 +87,7 @@ def test_the_verdict_is_what_the_format_promises(run: Path) -> None:
             (group if isinstance(group, list) else [group])}  # fmt: skip
     assert "body_roll" in held
     assert set(verdict["fit"]) == {"heldout", "base", "extended", "gain_log_score", "accepted", "accepted_because"}
-    assert set(verdict["base_parameters"]["l_f"]) == {"before", "after", "unit"}
+    assert set(verdict["base_parameters"]["l_f"]) == {"before", "after", "unit", "identified"}
     for parameter in best["parameters"].values():
         assert parameter["q05"] < parameter["mean"] < parameter["q95"]
 

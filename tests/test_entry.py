@@ -382,7 +382,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from vehicle_sbi.threads import each
 
-children = [subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])]
+children = [subprocess.Popen([sys.executable, "-IS", "-c", "import time; time.sleep(60)"])]
 atexit.register(children[0].terminate)
 children.append(get_context("fork").Process(target=time.sleep, args=[60]))
 children[1].start()

@@ -277,6 +277,7 @@ def test_draws_lie_in_their_boxes(pruned: Pruned) -> None:
     assert np.all((pruned.theta >= space.low) & (pruned.theta <= space.high))
 
 
+@pytest.mark.slow
 def test_what_is_believed_to_be_rare_is_named_less(base: Fit, pruned: Pruned) -> None:
     known = left_out(base.simulator, base.theta)
     table = {effect: {k: list(entry) for k, entry in of.items()} for effect, of in stated().table.items()}
@@ -338,6 +339,7 @@ def test_a_friction_that_is_stated_too_high_is_found_although_nothing_changes_ne
     assert abs(at["l_f"] - TRUTH[0]) < 4.0 * np.sqrt(woken.covariance[space.column("l_f"), space.column("l_f")])
 
 
+@pytest.mark.slow
 def test_rounds_of_which_the_last_cannot_be_simulated_where_it_helps_to_name_are_pooled(
     base: Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:

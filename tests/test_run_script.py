@@ -86,16 +86,10 @@ def test_a_run_leaves_what_it_promises(whole: Path) -> None:
 RESUMED = ["table.csv", "samples.parquet", "rounds/round_0.pt", "rounds/round_1.pt"]
 
 
+@pytest.mark.slow  # a diagnosis that was killed, and rounds of their own, go on in the tests that are not
 @pytest.mark.parametrize(
     "at",
-    [
-        "rounds/round_0.pt",
-        pytest.param("manifest.json", marks=pytest.mark.slow),
-        pytest.param("rounds/round_1.pt", marks=pytest.mark.slow),
-        pytest.param("samples.parquet", marks=pytest.mark.slow),
-        pytest.param("table.csv", marks=pytest.mark.slow),
-        pytest.param("report.html", marks=pytest.mark.slow),
-    ],
+    ["manifest.json", "rounds/round_0.pt", "rounds/round_1.pt", "samples.parquet", "table.csv", "report.html"],
 )
 def test_a_killed_run_started_again_gives_the_result_of_one_that_was_not(whole: Path, tmp_path: Path, at: str) -> None:
     folder = tmp_path / "run"

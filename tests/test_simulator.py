@@ -69,7 +69,7 @@ def test_without_noise_it_is_the_model() -> None:
     sim = simulator({"l_f": [1.0, 1.5], "delta_C_alpha_f": [-0.3, 0.3]}, rate=200.0)
     theta = np.array([[1.2, 0.1]])
     car = record_of(PAPER, l_f=1.2, C_alpha_f=7e4)
-    expected = finished(car, "torque", paper_manoeuvre(MILD), (10.5, 0, 0), substeps=10)
+    expected = finished(car, "torque", paper_manoeuvre(MILD), (10.5, 0, 0), substeps=4)
     # cars.simulate reports the yaw rate over CAN and the simulator from the IMU: neither is delayed here.
     np.testing.assert_allclose(sim.noise_free(theta)[0], expected[:5], rtol=1e-12, atol=1e-12)
 
