@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from _pytest.mark import ParameterSet
 from cars import PAPER
 
 from vehicle_sbi.data.channels import CHANNELS, NEEDED
@@ -84,7 +84,7 @@ def seen(simulator: Simulator) -> Card:
     return card(simulator, (space.low + space.high) / 2)
 
 
-def _cars() -> Iterator[ParameterSet]:
+def _cars() -> Iterator[Any]:
     """Every file with both models; the full vehicle, which takes longest, is slow but for the smallest car."""
     for path, model in product(FILES, MODELS):
         slow = model == "full_vehicle" and path.stem != "dart"
@@ -92,7 +92,7 @@ def _cars() -> Iterator[ParameterSet]:
 
 
 @every_drive
-@pytest.mark.parametrize(("path", "model"), _cars())
+@pytest.mark.parametrize(("path", "model"), [*_cars()])
 def test_every_effect_shows_with_every_vehicle_file_or_it_is_said_why_it_cannot(
     path: Path, model: str, drive: str
 ) -> None:

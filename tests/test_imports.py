@@ -33,8 +33,9 @@ mismatch.hypotheses.hypothesis mismatch.hypotheses.block
 mismatch.hypotheses.regressor mismatch.hypotheses.discrepancy mismatch.hypotheses.quantisation
 mismatch.hypotheses.spans mismatch.hypotheses.effect mismatch.hypotheses.dictionary
 mismatch.selection.score_test mismatch.selection.detection mismatch.selection.inverse mismatch.selection.likeness
-mismatch.selection.gibbs mismatch.selection.inclusion mismatch.selection.ahead mismatch.selection.pruned
-mismatch.selection.expand_and_prune mismatch.selection.extended mismatch.selection.reinfer mismatch.selection.predictive
+mismatch.selection.coefficient mismatch.selection.gibbs mismatch.selection.inclusion mismatch.selection.ahead
+mismatch.selection.pruned mismatch.selection.expand_and_prune mismatch.selection.extended
+mismatch.selection.reinfer mismatch.selection.predictive
 mismatch.selection.acceptance mismatch.design.cannot_act mismatch.design.identifiability mismatch.design.experiment
 mismatch.answer.schema mismatch.answer.wording mismatch.answer.verdict mismatch.pipeline
 report.manifest report.run_folder report.stage_file report.tables.symbols report.tables.posterior report.tables.text

@@ -10,7 +10,8 @@ from scipy.special import logsumexp
 from scipy.stats import kstest, norm
 
 from vehicle_sbi import threads
-from vehicle_sbi.mismatch.selection.gibbs import State, _drawn, _log_box, _log_slab, _mostly_within, _off_zero
+from vehicle_sbi.mismatch.selection.coefficient import log_box, log_slab, mostly_within, off_zero
+from vehicle_sbi.mismatch.selection.gibbs import State, _drawn
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Shared, sample
 from vehicle_sbi.mismatch.selection.inverse import factorise, set_precision
 from vehicle_sbi.mismatch.selection.likeness import UNLIKE, likeness
@@ -54,14 +55,14 @@ def enumerated(H: np.ndarray, b: np.ndarray, groups: Groups) -> np.ndarray:
         A = H + np.diag(precision)
         mean, S = np.linalg.solve(A, b), np.linalg.inv(A)
         same = 0.5 * b @ mean - 0.5 * np.linalg.slogdet(A)[1] + 0.5 * np.log(precision).sum()
-        same += _log_box(mean[0], S[0, 0], groups.low[0], groups.high[0], groups.outside)
+        same += log_box(mean[0], S[0, 0], groups.low[0], groups.high[0], groups.outside)
         for missing in SHARED.missing:
             log = same
             for g, k in enumerate(level):
                 odds = groups.rate[g] / (1.0 - groups.rate[g]) * (missing if groups.named[g] else 1.0)
                 log += (np.log(odds * groups.share[g, k]) if k else 0.0) - np.log1p(odds)
                 j = start + g
-                log += _log_slab(mean[j], S[j, j], sd[g], groups.sign[j]) if k and groups.named[g] else 0.0
+                log += log_slab(mean[j], S[j, j], sd[g], groups.sign[j]) if k and groups.named[g] else 0.0
             weight.append(log)
             included.append(np.array(level) > 0)
     p = np.exp(np.array(weight) - logsumexp(weight))
@@ -86,17 +87,17 @@ def test_weight_of_a_slab_is_the_mean_square_on_its_side_of_zero(mean: float, st
         return (x / sd) ** 2 * side * float(norm.pdf(x, mean, std))
 
     exact = quad(weighted, mean - 12 * std, mean + 12 * std, points=[0.0], limit=500)[0]
-    assert _log_slab(mean, std**2, sd, sign) == pytest.approx(np.log(exact), abs=1e-6)
+    assert log_slab(mean, std**2, sd, sign) == pytest.approx(np.log(exact), abs=1e-6)
 
 
 @pytest.mark.parametrize(("mean", "std"), [(0.0, 0.5), (1.5, 0.2), (40.0, 1e-3), (-2.0, 3.0)])
 def test_weight_of_a_box_is_its_mass_and_no_less_than_the_probability_that_it_is_wrong(mean: float, std: float) -> None:
     within = norm.cdf(1.0, mean, std) - norm.cdf(-1.5, mean, std)
-    assert _log_box(mean, std**2, -1.5, 1.0, 0.01) == pytest.approx(np.log(0.99 * within + 0.01), abs=1e-12)
+    assert log_box(mean, std**2, -1.5, 1.0, 0.01) == pytest.approx(np.log(0.99 * within + 0.01), abs=1e-12)
 
 
 def test_weight_of_a_slab_far_on_the_wrong_side_joins_its_expansion() -> None:
-    inside, beyond = (_log_slab(-z, 1.0, 1.0, 1) for z in (19.999, 20.001))
+    inside, beyond = (log_slab(-z, 1.0, 1.0, 1) for z in (19.999, 20.001))
     assert inside == pytest.approx(beyond, abs=0.05)  # 0.04 from the step, 45 / z^4 from the expansion's next term
     assert beyond < inside
 
@@ -129,7 +130,7 @@ def distance(draws: np.ndarray, density: Callable[[np.ndarray], np.ndarray], *, 
 @pytest.mark.parametrize("sign", [0, 1, -1])
 @pytest.mark.parametrize(("mean", "std"), [(0.0, 1.0), (0.5, 0.3), (-0.5, 0.3), (2.0, 0.5), (-3.0, 0.5), (6.0, 0.3)])
 def test_a_coefficient_in_a_slab_is_drawn_by_its_square_on_its_side_of_zero(mean: float, std: float, sign: int) -> None:
-    draws = np.array([_off_zero(mean, std, sign) for _ in range(N)])
+    draws = np.array([off_zero(mean, std, sign) for _ in range(N)])
 
     def law(x: np.ndarray) -> np.ndarray:
         return x**2 * norm.pdf(x, mean, std) * (sign * x >= 0.0)
@@ -142,7 +143,7 @@ def test_a_coefficient_in_a_slab_is_drawn_by_its_square_on_its_side_of_zero(mean
     ("mean", "std"), [(0.0, 0.5), (0.9, 0.2), (1.3, 0.2), (0.0, 30.0), (4.0, 0.3), (-2.0, 0.2), (-1.9, 2.0)]
 )
 def test_a_base_parameter_is_drawn_within_its_box_unless_the_box_is_wrong(mean: float, std: float) -> None:
-    draws = np.array([_mostly_within(mean, std, -1.5, 1.0, 0.05) for _ in range(N)])
+    draws = np.array([mostly_within(mean, std, -1.5, 1.0, 0.05) for _ in range(N)])
 
     def law(x: np.ndarray) -> np.ndarray:
         return norm.pdf(x, mean, std) * np.where((x > -1.5) & (x < 1.0), 1.0, 0.05)

@@ -16,7 +16,7 @@ from conftest import ROOT
 
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.checks.limits import refuse_impossible
-from vehicle_sbi.data.plausibility import LIMITS, absurd, findings
+from vehicle_sbi.data.plausibility import LIMITS, absurd, examine
 from vehicle_sbi.data.readers import RecordingFile, read
 from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError
@@ -45,6 +45,10 @@ def recording(channels: Mapping[str, np.ndarray]) -> Recording:
     return Recording(
         name="a", rate=RATE, t=t, channels=channels, valid=valid, groups={}, source="a.csv"
     )  # fmt: skip
+
+
+def findings(seen: Recording) -> tuple[str, ...]:
+    return tuple(one.sentence for one in examine(seen))
 
 
 @cache

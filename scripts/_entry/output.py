@@ -3,10 +3,11 @@
 from vehicle_sbi.command import discard_output, leave_unread
 
 
-def refusal() -> OSError | None:
-    """What standard output answers to one more line, None where it takes it; errors of a stream do not name it."""
+def refusal(more: str = "") -> OSError | None:
+    """What standard output answers to what is left to write and some more, None where it takes them; errors of a stream
+    do not name it."""
     try:
-        print(flush=True)
+        print(end=more, flush=True)
     except OSError as error:
         return error
     return None
@@ -14,13 +15,11 @@ def refusal() -> OSError | None:
 
 def leave_if_unread(error: BaseException) -> None:
     """End quietly after an error that nobody reads on; return after any other."""
-    if isinstance(error, BrokenPipeError) and isinstance(refusal(), BrokenPipeError):
+    if isinstance(error, BrokenPipeError) and isinstance(refusal("\n"), BrokenPipeError):  # what was left is dropped
         leave_unread()
 
 
 def flush_or_discard() -> None:
     """Write what is left to write; what is refused is dropped, which Python would complain about in the end."""
-    try:
-        print(end="", flush=True)
-    except OSError:
+    if refusal() is not None:
         discard_output()

@@ -11,19 +11,17 @@ from vehicle_sbi.data.checks.drive import Drive, Finding, drive_of
 from vehicle_sbi.data.checks.limits import LIMITS, absurd, beyond_limits, spoken_runs
 from vehicle_sbi.data.recording import Recording
 
-__all__ = ["LIMITS", "WRONG", "Finding", "absurd", "examine", "findings", "spoken_runs"]
+__all__ = ["LIMITS", "WRONG", "Finding", "absurd", "examine", "spoken_runs"]
 
 WRONG = frozenset({"unit", "sign", "axes", "gravity", "shift"})
 """Faults by which a channel is another than its name says; the others (offsets, broken samples) leave it what it is."""
 
 
-def findings(recording: Recording) -> tuple[str, ...]:
-    """What the drive contradicts, a sentence each; empty for a plausible recording or one too gentle to tell."""
-    return tuple(one.sentence for one in examine(recording))
-
-
 def examine(recording: Recording) -> tuple[Finding, ...]:
-    """The same with the channel and the kind of fault of each; one fault of a channel is said once."""
+    """What the drive contradicts, each with its channel and kind of fault; one fault of a channel is said once.
+
+    Nothing of a plausible recording, or of one too gentle to tell.
+    """
     drive = drive_of(recording)
     compared = _once([*_between_channels(drive), *beyond_limits(recording)])
     broken = [*samples.clipped(drive), *samples.frozen(drive), *samples.coarse(drive)]

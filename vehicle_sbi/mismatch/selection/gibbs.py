@@ -12,12 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from vehicle_sbi.compiled import compiled_apart, compiled_beside
+from vehicle_sbi.mismatch.selection.coefficient import log_box, log_slab, mostly_within, off_zero
 from vehicle_sbi.mismatch.selection.inverse import LEAST, along, factorise, rounded, set_precision, with_precision
 
 REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
-TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
 REDRAWN = 10  # times that each coefficient of a draw is drawn given all others
-CLEAR = 3.0  # standard deviations off zero, from which a normal hardly knows the other side of it
 SWAPS = 6  # of two groups' states, tried in a sweep
 
 
@@ -44,37 +43,6 @@ class State(NamedTuple):
     S: np.ndarray
     m: np.ndarray
     slab: np.ndarray
-
-
-@compiled_apart
-def _log_slab(mean: float, variance: float, sd: float, sign: int) -> float:
-    """Log of the expected weight x^2 / sd^2 of a coefficient x under its normal, none on the wrong side of zero.
-
-    With it, the normal of a slab is a moment prior (Johnson and Rossell 2010), which has no mass at zero.
-    """
-    square = (mean * mean + variance) / (sd * sd)
-    if sign == 0:
-        return math.log(square)
-    std = math.sqrt(variance)
-    z = sign * mean / std
-    if z < -20.0:  # the tail's expansion: the mean square is 2 phi(z) / |z|^3 (1 - 6 / z^2) variances
-        return -0.5 * z * z + math.log(TAIL * variance / (sd * sd)) - 3.0 * math.log(-z) + math.log1p(-6.0 / (z * z))
-    density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
-    part = square * 0.5 * math.erfc(-z / math.sqrt(2.0)) + z * variance / (sd * sd) * density
-    return math.log(max(2.0 * part, 1e-300))
-
-
-@compiled_apart
-def _log_box(mean: float, variance: float, low: float, high: float, outside: float) -> float:
-    """Log probability of a coefficient, under its normal, to be within its box, which is wrong with a probability."""
-    return math.log((1.0 - outside) * _within(mean, math.sqrt(variance), low, high) + outside)
-
-
-@compiled_apart
-def _within(mean: float, std: float, low: float, high: float) -> float:
-    """Probability of a normal to be between two limits."""
-    wide = math.sqrt(2.0) * std
-    return 0.5 * (math.erfc((low - mean) / wide) - math.erfc((high - mean) / wide))
 
 
 @compiled_apart
@@ -153,9 +121,9 @@ def _level_evidence(g, believed, state):
                 variance -= c[i] * W[i, j] ** 2
             variance = max(variance, 1e-300)
             if boxed:
-                found[k] += _log_box(mean, variance, low[j], high[j], believed.outside)
+                found[k] += log_box(mean, variance, low[j], high[j], believed.outside)
             else:
-                found[k] += _log_slab(mean, variance, width, believed.sign[j])
+                found[k] += log_slab(mean, variance, width, believed.sign[j])
     return found
 
 
@@ -188,9 +156,9 @@ def _drawn(H, believed, state):
             std = 1.0 / math.sqrt(A[j, j])
             mean = x[j] - off[j] * std * std
             if j < boxed:
-                to = _mostly_within(mean, std, low[j], high[j], believed.outside)
+                to = mostly_within(mean, std, low[j], high[j], believed.outside)
             else:
-                to = _off_zero(mean, std, believed.sign[j])
+                to = off_zero(mean, std, believed.sign[j])
             for i in range(n):
                 off[i] += (to - x[j]) * A[j, i]
             x[j] = to
@@ -209,60 +177,6 @@ def _with_precision_of(A):
         for j in range(i):
             x[j] -= L[i, j] * x[i]
     return x
-
-
-@compiled_apart
-def _off_zero(mean, std, sign):
-    """A draw x in proportion to x^2 times a normal density, on its side of zero if it has one, by rejection.
-
-    Away from zero, of the normal and of z^2 times it (Maxwell's law) in proportion to their parts; near it or beyond,
-    of the gamma law t^2 exp(-rate t) that touches the density where it is largest over it.
-    """
-    if sign != 0 and sign * mean < CLEAR * std:
-        low = -sign * mean / std
-        rate = 0.5 * (low + math.sqrt(low * low + 12.0))
-        while True:
-            t = np.random.gamma(3.0, 1.0 / rate)
-            if np.random.random() < math.exp(-0.5 * (t - rate + low) ** 2):
-                return sign * std * t
-    share = mean * mean / (mean * mean + std * std)
-    while True:
-        z = np.random.standard_normal()
-        if np.random.random() > share:
-            z = math.copysign(math.sqrt(z * z + 2.0 * np.random.exponential()), z)
-        x = mean + std * z
-        if np.random.random() * 2.0 * (mean * mean + std * std * z * z) < x * x and sign * x >= 0.0:
-            return x
-
-
-@compiled_apart
-def _mostly_within(mean, std, low, high, outside):
-    """A normal draw within its box, or anywhere with the probability that the box is wrong."""
-    within = (1.0 - outside) * _within(mean, std, low, high)
-    if np.random.random() * (within + outside) >= within:
-        return mean + std * np.random.standard_normal()
-    a, b = (low - mean) / std, (high - mean) / std
-    return mean + std * (_between(a, b) if b > 0.0 else -_between(-b, -a))
-
-
-@compiled_apart
-def _between(a, b):
-    """A standard normal draw between a and b, b being positive (Robert 1995)."""
-    if a < 0.0 and b - a > 1.0:
-        while True:
-            z = np.random.standard_normal()
-            if a < z < b:
-                return z
-    nearest, rate = max(a, 0.0), 0.5 * (a + math.sqrt(a * a + 4.0))
-    if (b - a) * rate < 1.0:
-        while True:
-            z = a + (b - a) * np.random.random()
-            if np.random.random() < math.exp(0.5 * (nearest * nearest - z * z)):
-                return z
-    while True:
-        z = a + np.random.exponential(1.0 / rate)
-        if z < b and np.random.random() < math.exp(-0.5 * (z - rate) ** 2):
-            return z
 
 
 @compiled_apart
