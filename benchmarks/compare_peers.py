@@ -2,20 +2,21 @@
 
     .venv/bin/pip install '.[peers]'
     .venv/bin/python benchmarks/compare_peers.py simulator     (a minute)
-    .venv/bin/python benchmarks/compare_peers.py study         (resumes; an hour on one core)
+    .venv/bin/python benchmarks/compare_peers.py study         (resumes; an hour and a half on one core)
 
 The simulator, on one core: this project's, the same equations in C (-O3 -march=native) and in numpy over all
 simulations, and CommonRoad's single-track model by scipy's integrator. The study, one problem of each manoeuvre: this
 project's default run, a plain sbi script (SNPE-C with the paper's statistics, as many simulations), numpyro's NUTS on
 the model in JAX, and scipy's least_squares with its covariance. Each is compared with long Markov chains
-(`exact_posteriors.reference`). Writes results/peers.md, peers.csv and the figure peers.png.
+(`exact_posteriors.reference`) as it goes on: after each round, or so many draws. Writes results/peers.md, peers.csv and
+the figure peers.png.
 """
 
 import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -38,6 +39,7 @@ from scipy.optimize import least_squares
 from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.features import Handcrafted
+from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.reweighting import posterior_draws
 from vehicle_sbi.inference.rounds import Problem, infer
 from vehicle_sbi.inference.simulator import Simulator, succeeded
@@ -50,7 +52,7 @@ FOLDER, RESULTS = ROOT / "outputs" / "peers", ROOT / "benchmarks" / "results"
 SIMULATED, REPEATS, BY_COMMONROAD = 1000, 7, 2
 STUDIES = {"paper_mild": 520, "paper_strong": 525}  # both are development seeds
 ROUNDS, A_ROUND = 5, 5000  # of the plain script, the paper's
-WARM_UP, KEPT = 300, 1000  # of NUTS
+WARM_UP, KEPT, LOOKS = 300, 250, 4  # of NUTS: draws until it is looked at, and how often that is
 
 
 # --- the simulator --------------------------------------------------------------------------------------------------
@@ -134,22 +136,31 @@ def simulator_page() -> str:
 
 @dataclass(frozen=True)
 class Answer:
-    """Draws (n, 6) of a posterior, and the processor's time for them [s], compilation included."""
+    """Draws (n, 6) of a posterior, and the processor's time until then [s], compilation included."""
 
+    after: str
     draws: np.ndarray
     seconds: float
 
 
-def by_default_run(base: Problem, seed: int, folder: Path) -> Answer:
-    """As `run` does it: rounds, then draws that are re-weighted."""
-    begun = time.process_time()
-    posterior = infer(base, TRUNCATED, Checkpoints(folder), quiet=True).posterior
+def by_default_run(base: Problem, seed: int, folder: Path) -> Iterator[Answer]:
+    """As `run` does it: a fit, rounds, then draws that are re-weighted. Looking takes no time of its own."""
+    begun, space = time.process_time(), base.simulator.space
+    fit = base.laplace
+    done = {0: time.process_time()}  # by the number of rounds
+    checkpoints = Checkpoints(folder, changed=lambda: done.setdefault(len(checkpoints.sealed), time.process_time()))
+    inference = infer(base, TRUNCATED, checkpoints, quiet=True)
     seed_torch(seed=seed, stream=Stream.POSTERIOR)
-    theta, _ = posterior_draws(base, posterior, DRAWS)
-    return Answer(theta, time.process_time() - begun)
+    theta, _ = posterior_draws(base, inference.posterior, DRAWS)
+    seconds = time.process_time() - begun
+    if fit is not None:
+        yield Answer("fit", np.random.default_rng(seed).multivariate_normal(*fit.marginal, DRAWS), done[0] - begun)
+    for k, posterior in enumerate(inference.posteriors, start=1):
+        yield Answer(f"round {k}", draw(posterior, space, DRAWS), done[k] - begun)
+    yield Answer("re-weighted", theta, seconds)
 
 
-def by_plain_sbi(base: Problem, seed: int, folder: Path) -> Answer:
+def by_plain_sbi(base: Problem, seed: int, folder: Path) -> Iterator[Answer]:
     """SNPE-C of sbi as its tutorial has it, on the paper's statistics of the series."""
     from sbi.inference import NPE_C
     from sbi.utils import BoxUniform
@@ -170,18 +181,21 @@ def by_plain_sbi(base: Problem, seed: int, folder: Path) -> Answer:
         good = torch.as_tensor(succeeded(outcomes))
         inference.append_simulations(theta[good], statistics(y)[good], proposal=proposal).train()
         proposal = inference.build_posterior().set_default_x(x_o)
-    draws = proposal.sample((DRAWS,)).numpy()
-    return Answer(draws.astype(float), time.process_time() - begun)
+        seconds, looked = time.process_time() - begun, time.process_time()
+        yield Answer(f"round {k + 1}", proposal.sample((DRAWS,)).numpy().astype(float), seconds)
+        begun += time.process_time() - looked
 
 
-def by_nuts(base: Problem, seed: int, folder: Path) -> Answer:
+def by_nuts(base: Problem, seed: int, folder: Path) -> Iterator[Answer]:
     """numpyro's NUTS in the sums of parameters and process noise, parameters then drawn given their sums."""
     from peers.in_jax import Study
 
-    begun = time.process_time()
-    found = Study(base.simulator, base.observed).sampled(WARM_UP, KEPT, seed)
-    theta = _without_process_noise(base.simulator, found["place"], found["sums"], seed)
-    return Answer(theta, time.process_time() - begun)
+    begun, chain = time.process_time(), []
+    for found in Study(base.simulator, base.observed).sampled(WARM_UP, KEPT, LOOKS, seed):
+        chain.append(_without_process_noise(base.simulator, found["place"], found["sums"], seed + len(chain)))
+        seconds, looked = time.process_time() - begun, time.process_time()
+        yield Answer(f"{KEPT * len(chain)} draws", np.concatenate(chain), seconds)
+        begun += time.process_time() - looked
 
 
 def _without_process_noise(simulator: Simulator, place: np.ndarray, sums: np.ndarray, seed: int) -> np.ndarray:
@@ -198,7 +212,7 @@ def _without_process_noise(simulator: Simulator, place: np.ndarray, sums: np.nda
     return theta
 
 
-def by_least_squares(base: Problem, seed: int, folder: Path) -> Answer:
+def by_least_squares(base: Problem, seed: int, folder: Path) -> Iterator[Answer]:
     """The best fit with the initial speed free, and a normal with the covariance of its Jacobian, in the box."""
     simulator, space = base.simulator, base.simulator.space
     start = [name for name in simulator.nuisances if name.startswith("v_x")]
@@ -216,10 +230,10 @@ def by_least_squares(base: Problem, seed: int, folder: Path) -> Answer:
     fit = least_squares(residual, middle, bounds=bounds, x_scale=bounds[1] - bounds[0])
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
     drawn = np.random.default_rng(seed).multivariate_normal(fit.x, covariance, DRAWS)[:, : len(space)]
-    return Answer(drawn, time.process_time() - begun)
+    yield Answer("fit", drawn, time.process_time() - begun)
 
 
-METHODS: dict[str, Callable[[Problem, int, Path], Answer]] = {
+METHODS: dict[str, Callable[[Problem, int, Path], Iterator[Answer]]] = {
     "this project, default run": by_default_run,
     "plain sbi, SNPE-C": by_plain_sbi,
     "numpyro, NUTS on JAX": by_nuts,
@@ -238,9 +252,12 @@ def study_rows() -> pd.DataFrame:
         for name, method in METHODS.items():
             file = FOLDER / f"{manoeuvre}_{name.partition(',')[0].replace(' ', '_')}.json"
             if not file.exists():
-                answer = method(base, seed, file.with_suffix(""))
-                write_text(file, json.dumps(distance(answer.draws, exact) | {"seconds": answer.seconds}))
-            rows.append({"manoeuvre": manoeuvre, "method": name, **json.loads(file.read_text())})
+                answers = [
+                    {"after": answer.after, "seconds": answer.seconds, **distance(answer.draws, exact)}
+                    for answer in method(base, seed, file.with_suffix(""))
+                ]
+                write_text(file, json.dumps(answers))
+            rows += [{"manoeuvre": manoeuvre, "method": name, **answer} for answer in json.loads(file.read_text())]
             print(rows[-1], flush=True)
     return pd.DataFrame(rows)
 
@@ -252,13 +269,14 @@ def study_page(table: pd.DataFrame) -> str:
 
 
 def figure(table: pd.DataFrame, path: Path) -> None:
-    """Distance from the exact posterior over the time of one core."""
+    """Distance from the exact posterior over the time of one core, a line for each method."""
     import matplotlib as mpl
     import seaborn as sns
 
     mpl.use("Agg")
     sns.set_theme(style="whitegrid")
-    grid = sns.relplot(table, x="seconds", y="c2st", hue="method", style="method", col="manoeuvre", s=120, height=4)
+    look = {"hue": "method", "style": "method", "markers": True, "dashes": False, "sort": False, "height": 4}
+    grid = sns.relplot(table, x="seconds", y="c2st", col="manoeuvre", kind="line", **look)
     grid.set(xscale="log", ylim=(0.45, 1.02), xlabel="time of one core [s]", ylabel="c2st to the exact posterior")
     grid.refline(y=0.5, linestyle=":")
     grid.savefig(path, dpi=100)

@@ -144,12 +144,10 @@ def exact(simulator: Simulator, observed: np.ndarray, truth: np.ndarray, seed: i
 
 
 def distance(samples: np.ndarray, reference: np.ndarray) -> dict[str, float]:
-    """c2st on standardised draws, and means and standard deviations against the reference's."""
-    mean, std = reference.mean(axis=0), reference.std(axis=0)
-    rows = np.random.default_rng(0).permutation(len(reference))[:COMPARED]
-    ours, theirs = (
-        torch.as_tensor((x - mean) / std, dtype=torch.float32) for x in (samples[:COMPARED], reference[rows])
-    )
+    """c2st on standardised draws, as many of each, and means and standard deviations against the reference's."""
+    mean, std, n = reference.mean(axis=0), reference.std(axis=0), min(COMPARED, len(samples))
+    rows = np.random.default_rng(0).permutation(len(reference))[:n]
+    ours, theirs = (torch.as_tensor((x - mean) / std, dtype=torch.float32) for x in (samples[:n], reference[rows]))
     ratio = samples.std(axis=0) / std
     return {
         "c2st": float(c2st(ours, theirs)),

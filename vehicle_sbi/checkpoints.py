@@ -21,7 +21,7 @@ class Checkpoints:
 
     folder: Path
     sealed: dict[str, str] = field(default_factory=dict)
-    changed: Callable[[], None] = lambda: None
+    changed: Callable[[], object] = lambda: None
 
     @classmethod
     def as_found(cls, folder: Path) -> "Checkpoints":

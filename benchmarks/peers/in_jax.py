@@ -4,7 +4,7 @@
 Process noise on a stiffness adds to its parameter, so the likelihood needs their sum alone, as in `estimators.exact`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import jax
@@ -141,11 +141,15 @@ class Study:
         std = jnp.sqrt((self.share * y) ** 2 + self.floor**2)
         numpyro.factor("likelihood", jnp.sum(-0.5 * ((self.observed - y) / std) ** 2 - jnp.log(std)))
 
-    def sampled(self, warm_up: int, kept: int, seed: int) -> dict[str, np.ndarray]:
-        """Draws (kept, ...) of each site of the model, by one chain of NUTS."""
+    def sampled(self, warm_up: int, kept: int, looks: int, seed: int) -> Iterator[dict[str, np.ndarray]]:
+        """Draws (kept, ...) of each site of the model, `looks` times one after the other, by one chain of NUTS."""
         from numpyro.infer import MCMC, NUTS, init_to_median
 
         kernel = NUTS(self.model, init_strategy=init_to_median)
         chain = MCMC(kernel, num_warmup=warm_up, num_samples=kept, progress_bar=False)
-        chain.run(jax.random.PRNGKey(seed))
-        return {name: np.asarray(values) for name, values in chain.get_samples().items()}
+        chain.warmup(jax.random.PRNGKey(seed))
+        for _ in range(looks):
+            state: Any = chain.last_state
+            chain.post_warmup_state = state
+            chain.run(state.rng_key)
+            yield {name: np.asarray(values) for name, values in chain.get_samples().items()}
