@@ -23,7 +23,7 @@ data.inspection.inspection data.inspection.spoken data.inspection.written data.m
 inference.prior inference.effect_prior inference.spike_slab inference.importance inference.simulator
 inference.information inference.setup inference.informative inference.embedding inference.emulator inference.features
 inference.estimator inference.training inference.proposal inference.doubts inference.rounds
-inference.reweighting inference.predictive inference.directions inference.plausible inference.study
+inference.nuisances inference.reweighting inference.predictive inference.directions inference.plausible inference.study
 inference.calibration inference.repetition
 mismatch.problem.observation mismatch.problem.case mismatch.estimation.estimate mismatch.estimation.fit
 mismatch.estimation.model mismatch.estimation.elsewhere mismatch.estimation.multistart mismatch.estimation.base_fit

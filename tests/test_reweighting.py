@@ -7,9 +7,8 @@ import pytest
 from scipy.stats import multivariate_normal
 from studies import PRIOR, constant_noise, paper_process, simulator
 
-from vehicle_sbi.data.noise import ProcessNoise
 from vehicle_sbi.inference.information import Laplace, laplace
-from vehicle_sbi.inference.reweighting import Nuisances, Reweighted, applies, log_prior, reweighted
+from vehicle_sbi.inference.reweighting import Reweighted, applies, reweighted
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.rng import Stream
 
@@ -79,29 +78,8 @@ def test_proposals_where_the_likelihood_has_no_mass_are_not_relied_on(
     assert "cannot be relied on" in found.sentence()
 
 
-def test_densities_of_nuisances_integrate_to_one() -> None:
-    """Along each axis through zero p(x) / p(0) integrates to 1 / p_i(0); the product of all p_i(0) is p(0)."""
-    inputs = ProcessNoise(stiffness=0.05, inputs=0.03).draw(np.random.default_rng(0))
-    uniform = simulator(process=inputs, known_start=False)
-    for sim in (uniform, replace(uniform, uniform_start=False)):
-        axes, zero = np.eye(len(sim.nuisances)), log_prior(sim, np.zeros((1, len(sim.nuisances))))[0]
-        x = np.linspace(-15.0, 15.0, 60_001)
-        integrals = [np.trapezoid(np.exp(log_prior(sim, x[:, None] * axis) - zero), x) for axis in axes]
-        assert np.exp(-np.log(integrals).sum()) == pytest.approx(np.exp(zero), rel=1e-3)
-
-
 def test_it_applies_where_the_likelihood_is_known() -> None:
     sim = simulator(PRIOR, process=paper_process())
     assert applies(sim)
     assert not applies(sim.with_noise(constant_noise(sim.windows, rho=0.5)))
     assert not applies(replace(sim, process=paper_process(per_sample=True)))
-
-
-def test_nuisances_are_drawn_with_the_density_that_is_told(about: Laplace) -> None:
-    """The mean of p / r over draws of r is the integral of p, for a normal p narrower than r's tails."""
-    given = Nuisances.given(about)
-    theta = np.repeat(about.theta[None], 50_000, axis=0)
-    eta, log_r = given.sample(theta, np.random.default_rng(0))
-    narrower = multivariate_normal(mean=given.eta, cov=given.factor @ given.factor.T)  # pyright: ignore[reportArgumentType]
-    ratio = np.exp(narrower.logpdf(eta) - log_r)
-    assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(len(ratio)))

@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.signal import lfilter, savgol_coeffs, savgol_filter
-from scipy.special import logsumexp
-from scipy.stats import norm
 
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.errors import InputError, unknown
@@ -43,11 +41,6 @@ class Mixture:
     @property
     def std(self) -> float:
         return float(np.sqrt(np.mean(self.stds**2) + self.means.var())) if len(self.means) else 0.0
-
-    def log_density(self, deviation: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Logarithm of the density of relative deviations; of a mixture that is not empty."""
-        each = norm.logpdf(deviation[:, None], self.means, self.stds)
-        return logsumexp(each, axis=1) - np.log(len(self.means))
 
     def sample(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
         if not len(self.means):

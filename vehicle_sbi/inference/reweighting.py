@@ -7,9 +7,9 @@ eta_i ~ r(eta | theta_i), and
     w_i = p(x_o | theta_i, eta_i) p(eta_i) p(theta_i) / (q(theta_i) r(eta_i | theta_i))
 
 weights the draws to the exact posterior (Robert and Casella, Monte Carlo Statistical Methods, ch. 3; for neural
-posteriors Dax et al., Phys. Rev. Lett. 130, 171403, 2023). r is the normal that Laplace's approximation has of eta
-given theta, with the tails of a t distribution. How many draws the weights leave, and the shape k of their tail, say
-whether the result is to be relied on (Vehtari et al., Pareto smoothed importance sampling, 2024).
+posteriors Dax et al., Phys. Rev. Lett. 130, 171403, 2023). r is what Laplace's approximation has of eta given theta,
+with eta's own prior (`nuisances`). How many draws the weights leave, and the shape k of their tail, say whether the
+result is to be relied on (Vehtari et al., Pareto smoothed importance sampling, 2024).
 """
 
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ from jaxtyping import Float
 from sbi.inference.posteriors.base_posterior import NeuralPosterior
 from scipy.special import gammaln
 
-from vehicle_sbi.data.noise import Mixture
 from vehicle_sbi.inference.importance import TRUSTED, pareto_k, systematic, truncated
 from vehicle_sbi.inference.information import Laplace
+from vehicle_sbi.inference.nuisances import Nuisances, log_prior
 from vehicle_sbi.inference.proposal import draw, log_density
 from vehicle_sbi.inference.rounds import Problem, at_once
-from vehicle_sbi.inference.simulator import STIFFNESSES, Simulator
+from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.rng import Stream, generator
 
@@ -33,6 +33,7 @@ PROPOSED = 8  # draws proposed for each that is asked for
 FREEDOM = 5.0  # degrees of freedom of t distributions that propose
 LEAST = 200  # effective draws that quantiles need
 LEAST_TO_LEARN_FROM = 20  # effective draws whose covariance proposes again
+MOST_PROPOSALS = 3
 
 
 @dataclass(frozen=True)
@@ -89,38 +90,18 @@ def reweighted(
 ) -> Reweighted:
     """n draws of the exact posterior, from proposed ones that are given with the logarithm of their density.
 
-    Where those are worth fewer than n, a t distribution with their weighted mean and covariance proposes again (Cappe
-    et al., Population Monte Carlo, 2004). `about` says where the nuisances are likely.
+    Where those are worth fewer than n, or their weights cannot be relied on, a t distribution with their weighted mean
+    and covariance proposes again (Cappe et al., Population Monte Carlo, 2004). `about` says where the nuisances are
+    likely.
     """
-    target = _Target(simulator, observed, Nuisances.given(about))
-    found = target.weighted(*proposed, rng)
-    if LEAST_TO_LEARN_FROM < found.effective < n:
-        again = target.weighted(*found.proposal(target.simulator.space, len(found.theta), rng), rng)
-        found = max(found, again, key=lambda one: one.effective)
-    return found.resampled(n, rng)
-
-
-@dataclass(frozen=True)
-class Nuisances:
-    """A t distribution of eta about the mean that a normal of (theta, eta) has of it given theta."""
-
-    theta: Float[np.ndarray, " d"]
-    eta: Float[np.ndarray, " e"]
-    slope: Float[np.ndarray, "e d"]
-    factor: Float[np.ndarray, "e e"]
-
-    @classmethod
-    def given(cls, about: Laplace) -> "Nuisances":
-        d, C = len(about.theta), about.covariance
-        slope = np.linalg.solve(C[:d, :d], C[:d, d:]).T
-        return cls(about.theta, about.eta, slope, np.linalg.cholesky(C[d:, d:] - slope @ C[:d, d:]))
-
-    def sample(
-        self, theta: Float[np.ndarray, "n d"], rng: np.random.Generator
-    ) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, " n"]]:
-        """A draw for each theta, and the logarithm of its density."""
-        off, log_density = t_draws(len(theta), self.factor, rng)
-        return self.eta + (theta - self.theta) @ self.slope.T + off, log_density
+    target = _Target(simulator, observed, Nuisances.of(simulator, about))
+    best = target.weighted(*proposed, rng)
+    for _ in range(1, MOST_PROPOSALS):
+        if best.effective <= LEAST_TO_LEARN_FROM or (best.effective >= n and best.k <= TRUSTED):
+            break
+        again = target.weighted(*best.proposal(simulator.space, len(proposed[0]), rng), rng)
+        best = max(best, again, key=lambda one: (one.k <= TRUSTED, one.effective))
+    return best.resampled(n, rng)
 
 
 def t_draws(
@@ -146,6 +127,11 @@ class _Weighted:
         """Normalised; zero where all of them are."""
         return truncated(self.log_weight) if np.isfinite(self.log_weight).any() else np.zeros(len(self.theta))
 
+    @cached_property
+    def k(self) -> float:
+        """Shape of the weights' tail; infinite where all of them are zero."""
+        return pareto_k(self.log_weight) if self.weight.any() else np.inf
+
     @property
     def effective(self) -> float:
         """Independent draws that they are worth."""
@@ -168,7 +154,7 @@ class _Weighted:
         if not self.weight.any():
             return Reweighted(self.theta[:n], len(self.theta), 0.0, np.inf)
         chosen = rng.permutation(systematic(self.weight, n, rng))
-        return Reweighted(self.theta[chosen], len(self.theta), self.effective, pareto_k(self.log_weight))
+        return Reweighted(self.theta[chosen], len(self.theta), self.effective, self.k)
 
 
 @dataclass(frozen=True)
@@ -186,27 +172,6 @@ class _Target:
         eta, log_r = self.nuisances.sample(theta, rng)
         likelihood = log_likelihood(self.simulator, self.observed, theta, eta)
         return _Weighted(theta, likelihood + log_prior(self.simulator, eta) - log_q - log_r)
-
-
-def log_prior(simulator: Simulator, eta: Float[np.ndarray, "n e"]) -> Float[np.ndarray, " n"]:
-    """Log density of nuisances, in units of their standard deviations about their means."""
-    total = np.zeros(len(eta))
-    for name, values in zip(simulator.nuisances, eta.T, strict=True):
-        mixture = _mixture(simulator, name)
-        if mixture is not None:
-            total += mixture.log_density(mixture.mean + mixture.std * values) + np.log(mixture.std)
-        elif simulator.uniform_start:
-            total += np.where(np.abs(values) <= np.sqrt(3.0), -np.log(2.0 * np.sqrt(3.0)), -np.inf)
-        else:
-            total -= 0.5 * (values**2 + np.log(2.0 * np.pi))
-    return total
-
-
-def _mixture(simulator: Simulator, name: str) -> Mixture | None:
-    """What a nuisance is drawn from, if it is no initial state."""
-    if name in STIFFNESSES:
-        return simulator.process.stiffness
-    return simulator.process.inputs if name in ("steering", "torque") else None
 
 
 def log_likelihood(
