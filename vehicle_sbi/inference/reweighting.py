@@ -29,7 +29,7 @@ from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.rng import Stream, generator
 
-PROPOSED = 8  # draws proposed for each that is asked for
+PROPOSED = 4  # draws proposed for each that is asked for
 FREEDOM = 5.0  # degrees of freedom of t distributions that propose
 LEAST = 200  # effective draws that quantiles need
 LEAST_TO_LEARN_FROM = 20  # effective draws whose covariance proposes again
