@@ -47,7 +47,9 @@ from vehicle_sbi.threads import use_cores
 
 ROOT = Path(__file__).resolve().parent.parent
 SUMS = ("delta_C_kappa_f", "delta_C_kappa_r", "delta_C_alpha_f", "delta_C_alpha_r")
-WALKERS, STEPS, WARM_UP, THIN = 64, 3000, 1000, 5
+WALKERS, STEPS, WARM_UP, THIN = 64, 2000, 1000, 5
+# DESnookerMove of emcee 3.1.6 is left out: its draws are 7 % too narrow (github.com/dfm/emcee/pull/531).
+MOVES = [(emcee.moves.DEMove(), 0.8), (emcee.moves.StretchMove(), 0.2)]
 COMPARED = 2000
 SEED = 100  # of the drawn truth; the scored benchmark has others
 
@@ -129,8 +131,7 @@ def exact(simulator: Simulator, observed: np.ndarray, truth: np.ndarray, seed: i
     about = np.append(truth, middle)
     start = about + 0.02 * np.append(space.high - space.low, half) * rng.standard_normal((WALKERS, len(about)))
     start[:, :-1] = np.clip(start[:, :-1], space.low + 1e-3, space.high - 1e-3)
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
-    sampler = emcee.EnsembleSampler(WALKERS, len(about), log_posterior, vectorize=True, moves=moves)
+    sampler = emcee.EnsembleSampler(WALKERS, len(about), log_posterior, vectorize=True, moves=MOVES)
     sampler.random_state = np.random.RandomState(seed).get_state()
     sampler.run_mcmc(start, STEPS)
     q = np.asarray(sampler.get_chain(discard=WARM_UP, thin=THIN, flat=True))
