@@ -7,9 +7,13 @@ import pytest
 from scipy.stats import multivariate_normal
 from studies import PRIOR, constant_noise, paper_process, simulator
 
+from vehicle_sbi.inference.estimator import NeuralSplineFlow
+from vehicle_sbi.inference.features import Handcrafted, Score
 from vehicle_sbi.inference.information import Laplace, laplace
-from vehicle_sbi.inference.reweighting import Reweighted, applies, reweighted
+from vehicle_sbi.inference.reweighting import Reweighted, applies, draws_about_the_fit, reweighted
+from vehicle_sbi.inference.rounds import Problem
 from vehicle_sbi.inference.simulator import Simulator
+from vehicle_sbi.inference.training import Training
 from vehicle_sbi.rng import Stream
 
 PROPOSED, DRAWN = 2000, 500
@@ -48,16 +52,20 @@ def right(sim: Simulator, observed: np.ndarray, about: Laplace) -> Reweighted:
     return by(sim, observed, about, 0.0, 1.3)
 
 
+def agree(some: Reweighted, others: Reweighted) -> None:
+    """Means and widths within five standard errors."""
+    std, error = others.theta.std(axis=0), 5 / np.sqrt(min(some.effective, others.effective, DRAWN))
+    np.testing.assert_allclose((some.theta.mean(axis=0) - others.theta.mean(axis=0)) / std, 0.0, atol=error)
+    np.testing.assert_allclose(np.log(some.theta.std(axis=0) / std), 0.0, atol=error)
+
+
 def test_the_answer_does_not_depend_on_who_proposed(
     sim: Simulator, observed: np.ndarray, about: Laplace, right: Reweighted
 ) -> None:
     wrong = by(sim, observed, about, 0.7, 1.6)
-    std = right.theta.std(axis=0)
-    few = min(right.effective, wrong.effective)
     assert right.trusted
     assert wrong.trusted
-    np.testing.assert_allclose((wrong.theta.mean(axis=0) - right.theta.mean(axis=0)) / std, 0.0, atol=5 / np.sqrt(few))
-    np.testing.assert_allclose(np.log(wrong.theta.std(axis=0) / std), 0.0, atol=5 / np.sqrt(few))
+    agree(wrong, right)
 
 
 def test_proposals_that_are_worth_little_say_where_to_propose_again(
@@ -66,14 +74,31 @@ def test_proposals_that_are_worth_little_say_where_to_propose_again(
     poor = by(sim, observed, about, 1.5, 2.0)
     assert poor.trusted
     assert poor.effective > DRAWN / 2
-    std, few = right.theta.std(axis=0), min(right.effective, poor.effective)
-    np.testing.assert_allclose((poor.theta.mean(axis=0) - right.theta.mean(axis=0)) / std, 0.0, atol=5 / np.sqrt(few))
+    agree(poor, right)
 
 
-def test_proposals_where_the_likelihood_has_no_mass_are_not_relied_on(
+def test_where_proposals_are_worth_nothing_the_fit_proposes(
+    sim: Simulator, observed: np.ndarray, about: Laplace, right: Reweighted
+) -> None:
+    rescued = by(sim, observed, about, 6.0, 0.3)
+    assert rescued.trusted
+    agree(rescued, right)
+
+
+def test_draws_about_the_fit_need_no_network(sim: Simulator, observed: np.ndarray, right: Reweighted) -> None:
+    problem = Problem(sim, observed, Score(), NeuralSplineFlow(), Training())
+    found = draws_about_the_fit(problem, DRAWN)
+    assert found is not None
+    assert found.trusted
+    agree(found, right)
+    assert draws_about_the_fit(replace(problem, features=Handcrafted()), DRAWN) is None
+
+
+def test_where_all_that_is_proposed_misses_the_likelihood_it_is_not_relied_on(
     sim: Simulator, observed: np.ndarray, about: Laplace
 ) -> None:
-    found = by(sim, observed, about, 6.0, 0.3)
+    std = np.sqrt(np.diag(about.marginal[1]))
+    found = by(sim, observed, replace(about, theta=about.theta - 6.0 * std, covariance=0.09 * about.covariance), 0, 1)
     assert not found.trusted
     assert "cannot be relied on" in found.sentence()
 

@@ -1,5 +1,6 @@
 """Rounds: each a pure function of those before it, continued after an interruption as if there had been none."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Embedding, Features, Handcrafted, Score
 from vehicle_sbi.inference.information import best_fit, bound_std, fisher
 from vehicle_sbi.inference.proposal import Support, draw
+from vehicle_sbi.inference.reweighting import draws_about_the_fit
 from vehicle_sbi.inference.rounds import (
     FIDUCIAL_DRAWS,
     Amortised,
@@ -31,7 +33,7 @@ from vehicle_sbi.inference.rounds import (
     without_failures,
 )
 from vehicle_sbi.inference.training import Training
-from vehicle_sbi.report.results import first_answer
+from vehicle_sbi.report.results import FIRST_DRAWS, first_answer
 from vehicle_sbi.rng import Stream
 
 SMALL = NeuralSplineFlow(hidden_features=10, num_transforms=2, num_bins=4)
@@ -284,17 +286,36 @@ def test_rounds_whose_means_lie_far_apart_are_said_to_disagree(
     assert all(abs(far - moved) < 0.2 for _, far in found)  # 0.03 each from the mean and the deviation of 2000 draws
 
 
-def test_the_first_answer_is_the_fit_and_the_spread_about_it() -> None:
+def means_and_stds(answer: str, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """The numbers of a first answer, a line for each parameter."""
+    rows = [row.split() for row in answer.rstrip().splitlines()[1:]]
+    assert [row[0] for row in rows] == list(names)
+    return np.array([float(row[1]) for row in rows]), np.array([float(row[3]) for row in rows])
+
+
+def test_the_first_answer_is_of_draws_that_the_likelihood_weights() -> None:
     study = problem()
-    assert study.laplace is not None
-    mean, covariance = study.laplace.marginal
-    head, *rows = first_answer(study).rstrip().splitlines()
-    assert "rough" in head
-    assert [row.split()[0] for row in rows] == list(study.simulator.space.names)
-    for row, x, std in zip(rows, mean, np.sqrt(np.diag(covariance)), strict=True):
-        _, said, _, spread, *_ = row.split()
-        assert abs(float(said) - x) <= 0.05 * std  # said to two digits of the spread
-        assert abs(float(spread) - std) <= 0.05 * std
+    drawn = draws_about_the_fit(study, FIRST_DRAWS)
+    assert drawn is not None
+    answer = first_answer(study)
+    assert answer.startswith("First answer, by the likelihood")
+    mean, std = means_and_stds(answer, study.simulator.space.names)
+    assert (np.abs(mean - drawn.theta.mean(axis=0)) <= 0.05 * std).all()  # said to two digits of the spread
+    np.testing.assert_allclose(std, drawn.theta.std(axis=0, ddof=1), rtol=0.05)
+
+
+def test_where_the_likelihood_is_not_known_the_first_answer_is_the_fit_and_the_spread_about_it() -> None:
+    independent = problem()
+    simulator = independent.simulator
+    correlated = replace(independent, simulator=simulator.with_noise(constant_noise(simulator.windows, rho=0.3)))
+    assert correlated.laplace is not None
+    assert draws_about_the_fit(correlated, FIRST_DRAWS) is None
+    fit, covariance = correlated.laplace.marginal
+    answer = first_answer(correlated)
+    assert answer.startswith("First answer, rough")
+    mean, std = means_and_stds(answer, simulator.space.names)
+    assert (np.abs(mean - fit) <= 0.05 * std).all()
+    np.testing.assert_allclose(std, np.sqrt(np.diag(covariance)), rtol=0.05)
 
 
 def test_where_no_fit_explains_the_recording_there_is_no_first_answer() -> None:

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 from sbi.inference.posteriors.base_posterior import NeuralPosterior
-from scipy.special import gammaln
+from scipy.special import gammaln, logsumexp
 
 from vehicle_sbi.inference.importance import TRUSTED, pareto_k, systematic, truncated
 from vehicle_sbi.inference.information import Laplace
@@ -74,6 +74,19 @@ def posterior_draws(
     return found.theta if found.trusted else theta[:n], found.sentence()
 
 
+def draws_about_the_fit(problem: Problem, n: int) -> Reweighted | None:
+    """n draws that need no network: a t distribution about the fit proposes them.
+
+    None where the likelihood is not known, or the model does not explain what was observed.
+    """
+    simulator, about = problem.simulator, problem.laplace if problem.features.efficient else None
+    if about is None or not applies(simulator):
+        return None
+    rng = generator(seed=simulator.seed, stream=Stream.POSTERIOR, index=1)
+    proposed = proposed_about(*about.marginal, simulator.space, PROPOSED * n, rng)
+    return reweighted(simulator, problem.observed, proposed, about, n, rng)
+
+
 def applies(simulator: Simulator) -> bool:
     """Whether the likelihood is known: independent noise, drawn once a simulation, no plausible effects."""
     per_sample = simulator.process.per_sample and (simulator.process.stiffness.std or simulator.process.inputs.std)
@@ -90,18 +103,33 @@ def reweighted(
 ) -> Reweighted:
     """n draws of the exact posterior, from proposed ones that are given with the logarithm of their density.
 
-    Where those are worth fewer than n, or their weights cannot be relied on, a t distribution with their weighted mean
-    and covariance proposes again (Cappe et al., Population Monte Carlo, 2004). `about` says where the nuisances are
-    likely.
+    Where those are worth fewer than n, or their weights cannot be relied on, a t distribution proposes as many more:
+    with their weighted mean and covariance (Cappe et al., Population Monte Carlo, 2004), or with those of the fit where
+    they are worth too few for that. `about` is that fit; it also says where the nuisances are likely.
     """
     target = _Target(simulator, observed, Nuisances.of(simulator, about))
-    best = target.weighted(*proposed, rng)
+    found = target.weighted(*proposed, rng)
     for _ in range(1, MOST_PROPOSALS):
-        if best.effective <= LEAST_TO_LEARN_FROM or (best.effective >= n and best.k <= TRUSTED):
+        if found.effective >= n and found.reliable:
             break
-        again = target.weighted(*best.proposal(simulator.space, len(proposed[0]), rng), rng)
-        best = max(best, again, key=lambda one: (one.k <= TRUSTED, one.effective))
-    return best.resampled(n, rng)
+        mean, covariance = found.moments if found.effective > LEAST_TO_LEARN_FROM else about.marginal
+        theta, log_q = proposed_about(mean, covariance, simulator.space, len(proposed[0]), rng)
+        found = found.joined(target.weighted(theta, log_q, rng)) if len(theta) else found
+    return found.resampled(n, rng)
+
+
+def proposed_about(
+    mean: Float[np.ndarray, " d"],
+    covariance: Float[np.ndarray, "d d"],
+    space: ParameterSpace,
+    m: int,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "k d"], Float[np.ndarray, " k"]]:
+    """Of m draws of a t distribution those inside the prior, and the logarithm of their density."""
+    off, log_q = t_draws(m, np.linalg.cholesky(np.atleast_2d(covariance)), rng)
+    theta = mean + off
+    inside = np.all((theta >= space.low) & (theta <= space.high), axis=1)
+    return theta[inside], log_q[inside]
 
 
 def t_draws(
@@ -133,21 +161,25 @@ class _Weighted:
         return pareto_k(self.log_weight) if self.weight.any() else np.inf
 
     @property
+    def reliable(self) -> bool:
+        return self.k <= TRUSTED
+
+    @property
     def effective(self) -> float:
         """Independent draws that they are worth."""
         return 1.0 / float(self.weight @ self.weight) if self.weight.any() else 0.0
 
-    def proposal(
-        self, space: ParameterSpace, m: int, rng: np.random.Generator
-    ) -> tuple[Float[np.ndarray, "k d"], Float[np.ndarray, " k"]]:
-        """About m draws inside the prior, and the logarithm of their density: as wide as these draws, heavier in the
-        tails."""
-        mean = self.weight @ self.theta
-        covariance = np.cov(self.theta.T, aweights=self.weight)
-        off, log_q = t_draws(m, np.linalg.cholesky(np.atleast_2d(covariance)), rng)
-        theta = mean + off
-        inside = np.all((theta >= space.low) & (theta <= space.high), axis=1)
-        return theta[inside], log_q[inside]
+    def joined(self, other: "_Weighted") -> "_Weighted":
+        """Both, each for as much as it is worth; the better one where the weights of one cannot be relied on."""
+        if not (self.reliable and other.reliable):
+            return max(self, other, key=lambda one: (one.reliable, one.effective))
+        parts = [one.log_weight - logsumexp(one.log_weight) + np.log(one.effective) for one in (self, other)]
+        return _Weighted(np.concatenate([self.theta, other.theta]), np.concatenate(parts))
+
+    @property
+    def moments(self) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, "d d"]]:
+        """Weighted mean and covariance."""
+        return self.weight @ self.theta, np.cov(self.theta.T, aweights=self.weight)
 
     def resampled(self, n: int, rng: np.random.Generator) -> Reweighted:
         """n of the draws, in proportion to their weights."""

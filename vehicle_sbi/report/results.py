@@ -15,7 +15,7 @@ from vehicle_sbi.inference.doubts import EXTRAPOLATED, disagreements, unlike
 from vehicle_sbi.inference.information import bound_std, confusable, fisher
 from vehicle_sbi.inference.predictive import Predictive, predictive
 from vehicle_sbi.inference.proposal import draw
-from vehicle_sbi.inference.reweighting import posterior_draws
+from vehicle_sbi.inference.reweighting import draws_about_the_fit, posterior_draws
 from vehicle_sbi.inference.rounds import Inference, Problem
 from vehicle_sbi.inference.simulator import STIFFNESSES
 from vehicle_sbi.inference.study import Prepared
@@ -39,6 +39,9 @@ from vehicle_sbi.report.tables.text import terminal
 from vehicle_sbi.rng import Stream, seed_torch
 from vehicle_sbi.rounding import mean_and_std
 
+FIRST_DRAWS = 1000  # of the first answer
+EXACT = "by the likelihood: draws about the best fit, re-weighted"
+ROUGH = "rough: a normal about the best fit (Laplace)"
 LEAKING = 0.5  # acceptance below which the last round is warned about
 WITH_EFFECTS = (
     "The effects that are free do not explain all of it; the posterior follows. "
@@ -78,24 +81,34 @@ def results(prepared: Prepared, inference: Inference, *, samples: int, reweight:
 
 
 def first_answer(problem: Problem, effects: Sequence[str] = ()) -> str:
-    """Means and standard deviations about the best fit (Laplace's approximation), before any network is trained; of a
-    model with the `effects`."""
+    """Means and standard deviations before any network is trained, of a model with the `effects`.
+
+    They are exact within sampling error where the likelihood is known, else those about the best fit (Laplace's
+    approximation).
+    """
     if len(problem.simulator.plausible):
         return "No first answer: with plausible effects free no normal about a fit holds the posterior."
-    found = problem.laplace
-    if found is None:
+    fit = problem.laplace
+    if fit is None:
         return (
             "No first answer: the best fit leaves over more than the noise, or the simulation fails beside it. "
             f"{WITH_EFFECTS if effects else '`diagnose` says what the model lacks.'}"
         )
-    mean, covariance = found.marginal
-    space, std = problem.simulator.space, np.sqrt(np.diag(covariance))
+    drawn = draws_about_the_fit(problem, FIRST_DRAWS)
+    if drawn is not None and drawn.trusted:
+        return _said_first(problem.simulator.space, drawn.theta.mean(axis=0), drawn.theta.std(axis=0, ddof=1), EXACT)
+    mean, covariance = fit.marginal
+    return _said_first(problem.simulator.space, mean, np.sqrt(np.diag(covariance)), ROUGH)
+
+
+def _said_first(space: ParameterSpace, mean: np.ndarray, std: np.ndarray, how: str) -> str:
+    """A line for each parameter, below how it was found."""
     width = max(map(len, space.names))
     said = [
         f"  {p.name:<{width}}  {mean_and_std(x, s)} {p.unit}".removesuffix(" 1")
         for p, x, s in zip(space.parameters, mean, std, strict=True)
     ]
-    return "\n".join(["First answer, rough: a normal about the best fit (Laplace). The posterior follows.", *said, ""])
+    return "\n".join([f"First answer, {how}. The posterior follows.", *said, ""])
 
 
 def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, samples: int, reweight: bool) -> None:
