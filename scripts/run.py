@@ -1,11 +1,12 @@
 """Parameters of one vehicle from a recording, or from a simulated drive: posterior, table, figures, page.
 
 python scripts/run.py recording=drive.csv vehicle=car.yaml
+python scripts/run.py 'recordings=[a.csv,b.csv]' vehicle=car.yaml
 python scripts/run.py prior=default estimator=nsf
 python scripts/run.py -m estimator=nsf,maf seed=0,1,2
 """
 
-from _entry import launch, run_folder, use_engine, warn  # first: it sets the number of threads
+from _entry import launch, named_recordings, run_folder, use_engine, warn  # first: it sets the number of threads
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
@@ -16,7 +17,7 @@ def main(cfg: DictConfig) -> None:
     from vehicle_sbi.inference.rounds import file_of, infer
     from vehicle_sbi.report.results import first_answer, report, show
 
-    study, scheme = instantiate(cfg.study), instantiate(cfg.rounds)
+    study, scheme = instantiate(named_recordings(cfg).study), instantiate(cfg.rounds)
     use_engine(cfg.engine)
     prepared = study.prepare()
     warn(prepared.warnings)

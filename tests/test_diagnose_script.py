@@ -140,7 +140,8 @@ def test_a_part_of_an_effect_is_inferred_alone(run: Path) -> None:
     roll = EFFECT_PARAMETERS["body_roll.gradient"]
     part = (*(p for p in simulator.space.parameters if p.name in model.base), roll)
     fit = replace(model.fit, observation=model.fit.observation.extended(replace(simulator, space=ParameterSpace(part))))
-    named = config["recording"] | {"path": "other.csv", "v_min": 3.0}
+    usual = config["recording"]
+    named = usual | {"path": "other.csv", "v_min": 3.0}
     text = extended(
         replace(model, effects=("body_roll",), fit=fit), config | {"recordings": [named, "a.csv"], "effects": []}
     )
@@ -150,7 +151,8 @@ def test_a_part_of_an_effect_is_inferred_alone(run: Path) -> None:
         str(Path("other.csv").absolute()),
         3.0,
     )
-    assert f"#   {Path('a.csv').absolute()}\n" in text
+    both = [(one["path"], one["v_min"]) for one in written_down["recordings"]]
+    assert both == [(str(Path("other.csv").absolute()), 3.0), (str(Path("a.csv").absolute()), usual["v_min"])]
     space = parameter_space(written_down["prior"], vehicle=PAPER, model="single_track", effects=written_down["effects"])
     assert space == ParameterSpace(part)
 

@@ -18,6 +18,7 @@ from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Score
+from vehicle_sbi.inference.information import fisher
 from vehicle_sbi.inference.setup import _slowest_believed, slowest
 from vehicle_sbi.inference.study import Study
 from vehicle_sbi.inference.training import Training
@@ -57,7 +58,7 @@ def test_a_synthetic_study_observes_a_simulation_of_its_truth() -> None:
     residual = prepared.problem.observed - clean
     assert residual[1].std() < 2 * STD["a_y"]
     assert prepared.inputs == {}
-    assert prepared.recording is None
+    assert prepared.recordings == ()
 
 
 def test_a_study_is_a_pure_function_of_its_configuration() -> None:
@@ -116,6 +117,52 @@ def test_the_clock_of_a_recording_begins_with_the_first_sample_that_is_used(tmp_
     windows = problem.simulator.windows
     assert windows.t[0, 0] == pytest.approx(2.0, abs=0.02)
     assert windows.u[0, 0, INPUTS.index("time")] == 0.0
+
+
+def both(folder: Path, **changes: Any) -> Study:
+    """A study of two stretches of a recording, given as two files."""
+    file = drive(folder, std=0.1)
+    other = folder / "other.csv"
+    other.write_bytes(Path(file.path).read_bytes())
+    parts = [replace(file, stop_s=15.0), replace(file, path=other, start_s=15.0)]
+    noise = ConstantNoise(std=STD, process=ProcessNoise(stiffness=0.0))  # which a whole study would share
+    return study(recording=file, recordings=parts, drive="speed", truth=None, noise=noise, **changes)
+
+
+def test_what_recordings_tell_together_is_what_each_tells(tmp_path: Path) -> None:
+    """Information adds up over windows, each with a start of its own; the second clock goes on where the first ends."""
+    prepared = both(tmp_path).prepare()
+    sim = prepared.problem.simulator
+    theta = (sim.space.low + sim.space.high) / 2
+    each = [np.flatnonzero(np.array(sim.windows.recordings) == name) for name in ("drive", "other")]
+    parts = [fisher(sim.only(which), theta) for which in each]
+    np.testing.assert_allclose(fisher(sim, theta), parts[0] + parts[1], rtol=1e-6)
+    alone = [replace(both(tmp_path), recordings=[one]).prepare() for one in both(tmp_path).recordings]
+    np.testing.assert_array_equal(
+        np.concatenate([one.problem.observed for one in alone], axis=1), prepared.problem.observed
+    )
+    assert (np.diff(sim.windows.clock[:, 0]) > 0).all()
+    assert sorted(Path(path).name for path in prepared.inputs) == ["drive.csv", "other.csv"]
+    assert prepared.name.endswith(" from drive, other")
+
+
+def test_of_several_recordings_the_windows_that_tell_most_keep_their_names(tmp_path: Path) -> None:
+    windows = both(tmp_path, most_readings=3000).prepare().problem.simulator.windows
+    assert 1 < len(windows.t) < 8
+    assert len(windows.recordings) == len(windows.t)
+    assert {*windows.recordings} <= {"drive", "other"}
+    assert windows.u[..., INPUTS.index("time")].min() == 0.0
+
+
+def test_a_recording_that_is_given_twice_would_count_twice(tmp_path: Path) -> None:
+    file = drive(tmp_path)
+    with pytest.raises(InputError, match=r"recordings: .*drive\.csv would count twice: it is the same data"):
+        study(recording=file, recordings=[file, str(file.path)], drive="speed", truth=None).prepare()
+
+
+def test_a_synthetic_study_has_no_recordings(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="recordings: a synthetic study has none"):
+        study(recordings=[drive(tmp_path)])
 
 
 @pytest.mark.slow

@@ -211,7 +211,7 @@ def read(path: str | Path, mapping: str | Path | Box | None = None, **settings: 
 
 
 def identify(
-    recording: Source,
+    recordings: Source | Sequence[Source],
     vehicle: str | Path | Vehicle,
     *,
     prior: str | Box = "lateral",
@@ -222,7 +222,7 @@ def identify(
     quiet: bool = False,
     **settings: Any,
 ) -> Identified:
-    """Parameters of a vehicle from a recording, by rounds of neural posterior estimation.
+    """Parameters of a vehicle from a recording, or from several together, by rounds of neural posterior estimation.
 
     `prior` names a file of conf/prior or maps parameters to [low, high]. `rounds` names a scheme or changes numbers of
     the default one ({"simulations": 1000}), as do `training` and `noise`. Other `settings` are those of a study: drive,
@@ -234,7 +234,8 @@ def identify(
 
     parts = {"features": "score", "estimator": "nsf", "training": "default", "noise": "estimated"}
     built = {group: _chosen(group, name, settings.pop(group, name)) for group, name in parts.items()}
-    study = Study(**_common(recording, vehicle, prior, settings, window_s=5.0), **built, truth=None)
+    files = _files(recordings)
+    study = Study(**_common(files[0], vehicle, prior, settings, window_s=5.0), recordings=files, **built, truth=None)
     scheme = _chosen("rounds", "truncated", rounds)
     with tempfile.TemporaryDirectory() as nowhere, algebra_on_one_thread():
         prepared = study.prepare()
@@ -257,9 +258,7 @@ def diagnose(
     **settings: Any,
 ) -> Diagnosed:
     """What physics a simulation of these recordings lacks; `settings` are those of a diagnosis: drive, effects, …"""
-    fitted, held = ([_file(one) for one in _listed(given)] for given in (recordings, heldout))
-    if not fitted:
-        raise InputError("recordings: none is given")
+    fitted, held = _files(recordings), [_file(one) for one in _listed(heldout)]
     ahead.begin()
     common = _common(fitted[0], vehicle, prior, settings, window_s=10.0)
     diagnosis = Diagnosis(
@@ -326,10 +325,9 @@ def _rounds(folder: Path, asked: str) -> Checkpoints:
 
 
 def _common(
-    recording: Source, vehicle: str | Path | Vehicle, prior: str | Box, settings: dict[str, Any], *, window_s: float
+    file: RecordingFile, vehicle: str | Path | Vehicle, prior: str | Box, settings: dict[str, Any], *, window_s: float
 ) -> dict[str, Any]:
-    """What studies and diagnoses are made of alike; what is used is taken out of the settings of the recording."""
-    file = _file(recording)
+    """What studies and diagnoses are made of alike; what is used is taken out of the settings of the first file."""
     chosen = {
         "model": "single_track",
         "drive": file.drive,
@@ -350,6 +348,14 @@ def _file(source: Source) -> RecordingFile:
     if isinstance(source, Recording):
         return Held(path=source.source, name=source.name, recording=source)
     return source if isinstance(source, RecordingFile) else RecordingFile(path=source)
+
+
+def _files(recordings: Source | Sequence[Source]) -> list[RecordingFile]:
+    """One or several; raises InputError for none."""
+    found = [_file(one) for one in _listed(recordings)]
+    if not found:
+        raise InputError("recordings: none is given")
+    return found
 
 
 def _listed(given: Source | Sequence[Source]) -> Sequence[Source]:

@@ -27,6 +27,7 @@ def _folder(name: str) -> Path:
 SCRIPTS, CONF = _folder("scripts"), _folder("conf")
 HELP = ("--help", "-h")
 SAY_ONLY = (*HELP, "--cfg", "-c", "--info", "-i", "--hydra-help", "--version")  # with which nothing is done
+TAKE_SEVERAL = ("diagnose", "run", "observability")  # recordings
 TAKE_A_VALUE = ("--cfg", "-c", "--package", "-p", "--info", "-i", "--config-dir", "-cd", "--config-name", "-cn")
 ALONE = ("--run", "--multirun", "--resolve", "--shell-completion")  # flags without a value
 USAGE = "vehicle-sbi VERB key=value …"
@@ -58,7 +59,7 @@ class Verb:
         before = ["", *typed]
         files = [word for word, after in zip(typed, before, strict=False) if self._is_file(word, after)]
         if len(files) > 1 and "=" not in typed:  # alone it is a slip, which the script names
-            several = "; several drives are 'recordings=[a.csv,b.csv]'" if self.script == "diagnose" else ""
+            several = "; several drives are 'recordings=[a.csv,b.csv]'" if self.script in TAKE_SEVERAL else ""
             raise ValueError(f"'{files[0]}' and '{files[1]}': one is taken, as in {self.file}=FILE{several}")
         return [*self.given, *(self._spelled(word, after) for word, after in zip(typed, before, strict=False))]
 

@@ -21,20 +21,27 @@ OmegaConf.register_new_resolver("shipped", lambda file: str(RECORDINGS / file), 
 
 
 def named_recordings(cfg: DictConfig) -> DictConfig:
-    """The configuration with names in `recordings` and `heldout` replaced by what their configuration files have.
+    """The configuration with names in `recordings`, and in `heldout` if it has that, replaced by what their
+    configuration files have.
 
     Raises InputError where there is none, for a name that is not there, or one of another vehicle than `recording`'s.
     """
     if not cfg.recordings and OmegaConf.is_missing(cfg.recording, "path"):
         raise InputError("recordings: none is given; recordings=[drive.csv,...], or a name that conf/recording has")
     for where in ("recordings", "heldout"):
-        entries = [cfg[where]] if isinstance(cfg[where], str) else typing.cast(list[str], list(cfg[where] or []))
-        cfg[where] = [_settings(str(entry), cfg, where) for entry in entries]
+        given = cfg.get(where) or []
+        entries = [given] if isinstance(given, str) else list(given)
+        if entries:
+            cfg[where] = [_settings(entry, cfg, where) for entry in entries]
     return cfg
 
 
-def _settings(entry: str, cfg: DictConfig, where: str) -> object:
-    """A file as it is, and a name's settings: those of the command line where it is the recording that is chosen."""
+def _settings(entry: object, cfg: DictConfig, where: str) -> object:
+    """A file, or settings that are spelled out, as they are; a name's settings: those of the command line where it is
+    the recording that is chosen."""
+    if isinstance(entry, DictConfig):
+        return entry
+    entry = str(entry)
     configured, chosen = _configured(), HydraConfig.get().runtime.choices
     if entry not in configured:
         if is_file("recording", entry):

@@ -39,6 +39,16 @@ class Windows:
     speed_group: str = "can"
     recordings: tuple[str, ...] = ()
 
+    @property
+    def clock(self) -> Float[np.ndarray, "windows time"]:
+        """Time [s] that runs on from window to window: the recording's own, or one clock for several."""
+        return self.t if self.alone else self.u[..., INPUTS.index("time")]
+
+    @property
+    def alone(self) -> bool:
+        """Whether all windows are of one recording."""
+        return len({*self.recordings}) <= 1
+
     def sensed(self, drive: str) -> dict[str, str]:
         """The group of sensors of each channel that is recorded, and of the speeds that drive the model."""
         driving = dict.fromkeys(DRIVEN_BY[drive], self.speed_group)
@@ -73,6 +83,12 @@ def one_after_another(recordings: Sequence[Sequence[Windows]]) -> list[float]:
     return shifts
 
 
+def from_zero(windows: Windows) -> Windows:
+    """Windows on a clock that begins with the first of them."""
+    first = float(windows.u[..., INPUTS.index("time")].min())
+    return replace(windows, u=_shifted(windows.u, -first))
+
+
 def check_alike(parts: Sequence[Windows], names: Sequence[str]) -> None:
     """InputError for recordings of different rates, channels or sensor groups; `names` are what it calls them."""
     first = parts[0]
@@ -81,7 +97,7 @@ def check_alike(parts: Sequence[Windows], names: Sequence[str]) -> None:
             if getattr(part, what) != getattr(first, what):
                 raise InputError(
                     f"recordings {names[0]} and {name} differ in their {what}: {getattr(first, what)} and "
-                    f"{getattr(part, what)}; one diagnosis needs the same of all (recording.rate resamples)"
+                    f"{getattr(part, what)}; together they need the same (recording.rate resamples)"
                 )
 
 

@@ -1,6 +1,6 @@
 """A study: from what a user configured to a problem that can be inferred, synthetic or recorded."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
@@ -8,11 +8,12 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from vehicle_sbi.data import together
 from vehicle_sbi.data.manoeuvre import Synthetic
 from vehicle_sbi.data.noise import EstimatedNoise
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.data.recording import Recording
-from vehicle_sbi.data.windows import Windows, joined
+from vehicle_sbi.data.windows import Windows, from_zero, joined
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.estimator import DensityEstimator
@@ -28,6 +29,7 @@ from vehicle_sbi.inference.training import Training
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.rng import Stream, generator
 
+SPELLED = 3  # recordings whose names a study's name spells out at most
 MOST_READINGS = 40_000  # of a recording that are used: 200 s of two channels at 100 Hz
 
 
@@ -37,11 +39,12 @@ class Study(Setup):
 
     In a synthetic study `truth` (by name) is observed, or a truth drawn from the prior. With `effects` "plausible" all
     that can act of what the prior does not name is drawn from `effect_prior` in each simulation, the observed one too.
-    Of a recording of more than `most_readings` (samples times channels; None: no limit) those windows are used that
-    tell most.
+    `recordings` are used together in the place of `recording`, paths as that says. Of more than `most_readings`
+    (samples times channels; None: no limit) those windows are used that tell most.
     """
 
     recording: RecordingFile | Synthetic
+    recordings: Sequence[str | RecordingFile] = ()
     features: Features
     estimator: DensityEstimator
     training: Training
@@ -54,6 +57,8 @@ class Study(Setup):
         super().__post_init__()
         if isinstance(self.recording, RecordingFile) and self.truth is not None:
             raise InputError("truth: a recording has no stated truth; leave truth=null or recording=synthetic")
+        if isinstance(self.recording, Synthetic) and self.recordings:
+            raise InputError("recordings: a synthetic study has none; leave recordings=[] or recording=synthetic")
         most = self.most_readings
         if most is not None and (not isinstance(most, int) or isinstance(most, bool) or most < 1):
             raise InputError(f"most_readings = {most!r}; it must be a whole number above 0, or null for no limit")
@@ -75,17 +80,21 @@ class Study(Setup):
         if not succeeded(outcomes)[0]:
             raise InputError(f"manoeuvre '{source.manoeuvre.name}': the vehicle spins out with the true parameters")
         name = f"{self.vehicle.name} in {source.manoeuvre.name}"
-        return Prepared(name, self._problem(simulator, y[0].astype(float)), truth, None)
+        return Prepared(name, self._problem(simulator, y[0].astype(float)), truth)
 
     def _recorded(self, source: RecordingFile) -> "Prepared":
-        recording = source.load()
-        windows = self._used(joined([self.windows(recording, source)], [recording.name]))
+        files = together.read(self.recordings or [source], source)
+        together.check_once(files, [])
+        (files,) = together.under_own_names(files)
+        recordings = tuple(recording for _, recording in files)
+        parts = [self.windows(recording, file) for file, recording in files]
+        windows = self._used(joined(parts, [recording.name for recording in recordings]))
         simulator = self._freed(self.simulator(self.space(windows), windows, uniform_start=False))
         observed = np.where(windows.valid, windows.y, 0.0)
         if isinstance(self.noise, EstimatedNoise) and self.noise.model_residual:
             simulator = simulator.with_noise(noise_under_model(simulator, observed, windows))
-        name, unheeded = f"{self.vehicle.name} from {recording.name}", self.unheeded(simulator.space)
-        return Prepared(name, self._problem(simulator, observed), None, recording, unheeded)
+        name = f"{self.vehicle.name} from {_all_of([recording.name for recording in recordings])}"
+        return Prepared(name, self._problem(simulator, observed), None, recordings, self.unheeded(simulator.space))
 
     def _used(self, windows: Windows) -> Windows:
         """The windows that tell most, as many as may be used, on a clock that begins with the first of them."""
@@ -97,8 +106,7 @@ class Study(Setup):
         if count == all_windows:
             return windows
         found = chosen(self.simulator(space, windows, uniform_start=False), count)
-        used = replace(windows.only(found.which), notes=(found.sentence(windows, most), *windows.notes))
-        return joined([used], [used.recordings[0]])
+        return from_zero(replace(windows.only(found.which), notes=(found.sentence(windows, most), *windows.notes)))
 
     def _freed(self, simulator: Simulator) -> Simulator:
         """The simulator with the plausible effects, if they are asked for."""
@@ -117,13 +125,13 @@ class Study(Setup):
 
 @dataclass(frozen=True)
 class Prepared:
-    """A problem, the truth where it is known, the recording where there is one, and what the vehicle file states in
+    """A problem, the truth where it is known, the recordings where there are any, and what the vehicle file states in
     vain."""
 
     name: str
     problem: Problem
     truth: Float[np.ndarray, " d"] | None
-    recording: Recording | None
+    recordings: tuple[Recording, ...] = ()
     unheeded: tuple[str, ...] = ()
 
     @cached_property
@@ -144,10 +152,17 @@ class Prepared:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the recording contradicts."""
-        return () if self.recording is None else self.recording.warnings
+        """What the recordings contradict, with the name of each where there are several."""
+        alone = len(self.recordings) == 1
+        return tuple(line if alone else f"{one.name}: {line}" for one in self.recordings for line in one.warnings)
 
     @property
     def inputs(self) -> dict[str, str]:
-        """SHA-256 of every file that the recording is read from."""
-        return {} if self.recording is None else dict(self.recording.inputs)
+        """SHA-256 of every file that the recordings are read from."""
+        return {path: digest for one in self.recordings for path, digest in one.inputs.items()}
+
+
+def _all_of(names: Sequence[str]) -> str:
+    """Names in a row, of many the first of them and how many more there are."""
+    more = [f"{len(names) - SPELLED} more"] if len(names) > SPELLED else []
+    return ", ".join([*names[:SPELLED], *more])

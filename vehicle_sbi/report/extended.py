@@ -23,10 +23,6 @@ HEAD = """\
 # The extended model of a diagnosis. To infer it, with the folder of this file in the place of FOLDER:
 #   vehicle-sbi run --config-dir FOLDER experiment=../extended hydra.run.dir=FOLDER-extended
 """
-OTHERS = """\
-# It is inferred from the first of the recordings that were diagnosed. For another one put its path under recording, or,
-# where conf/recording names it, what it says there:
-"""
 
 
 def command(folder: Path) -> str:
@@ -38,9 +34,9 @@ def command(folder: Path) -> str:
 
 
 def extended(model: Model, config: Mapping[str, Any]) -> str:
-    """The experiment that infers a model from the first recording of the diagnosis that was configured so, its
-    parameters free in the boxes that were searched."""
-    first, *others = [_settings(one, config["recording"]) for one in config["recordings"] or [config["recording"]]]
+    """The experiment that infers a model from the recordings that the diagnosis was configured to fit, its parameters
+    free in the boxes that were searched."""
+    recordings = [_settings(one, config["recording"]) for one in config["recordings"] or [config["recording"]]]
     windows, effects = model.fit.simulator.windows, [*config["effects"], *model.effects]
     stated = {
         "effects": effects,
@@ -48,14 +44,15 @@ def extended(model: Model, config: Mapping[str, Any]) -> str:
         "model": config["model"],
         "drive": config["drive"],
         "vehicle": _from_anywhere(config["vehicle"]),
-        "recording": first,
+        "recording": recordings[0],
+        "recordings": recordings if len(recordings) > 1 else [],
         "window_s": windows.t.shape[1] / windows.rate,
         "warmup_s": config["warmup_s"],
         "noise": config["noise"],
     }
     defaults = "".join(f"  - override /{group}: null\n" for group in STATED)
     content = yaml.dump(stated, Dumper=_Lines, sort_keys=False, width=120)
-    return f"{HEAD}{_others(others)}defaults:\n{defaults}\n{content}"
+    return f"{HEAD}defaults:\n{defaults}\n{content}"
 
 
 class _Lines(yaml.SafeDumper):
@@ -68,11 +65,6 @@ _Lines.add_representer(list, lambda dumper, of: dumper.represent_sequence("tag:y
 def _settings(one: str | Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
     """How a recording is read: as it says itself, or, of a path, as all are."""
     return _from_anywhere({**shared, "path": one, "name": None} if isinstance(one, str) else one)
-
-
-def _others(recordings: Sequence[Mapping[str, Any]]) -> str:
-    """How to infer it from another recording than the first, if there is one."""
-    return "".join([OTHERS, *(f"#   {one['path']}\n" for one in recordings)]) if recordings else ""
 
 
 def _from_anywhere(node: Any) -> Any:

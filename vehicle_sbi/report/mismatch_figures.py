@@ -19,7 +19,6 @@ from vehicle_sbi.mismatch.answer.verdict import Found
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.selection.predictive import Prediction
 from vehicle_sbi.parameters import Parameter, ParameterSpace
-from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.report.figures import MEASURED, POSTERIOR, PRIOR, STYLE, TRUTH, key, save
 from vehicle_sbi.report.tables.symbols import symbol, unit_symbol
 
@@ -31,8 +30,7 @@ def residuals(found: Found, answer: Verdict, path: Path) -> None:
     """Recorded less simulated per channel, smoothed over a quarter of a second, of base and extended model."""
     base, model = found.examined.fit, found.extended.model
     windows = base.simulator.windows
-    alone = len(set(windows.recordings)) == 1
-    t = (windows.t if alone else windows.u[..., INPUTS.index("time")]).reshape(-1)
+    alone, t = windows.alone, windows.clock.reshape(-1)
     fits = {TRUTH: base} | ({POSTERIOR: model.fit} if model.effects else {})
     left = {color: np.where(windows.valid, fit.unexplained, np.nan) for color, fit in fits.items()}
     slow = {color: smooth(rest, windows) for color, rest in left.items()}

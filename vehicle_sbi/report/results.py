@@ -175,7 +175,7 @@ def write_figures(path: Path, found: Results, prepared: Prepared, inference: Inf
     pairplot(found.samples, simulator.space, prepared.truth, path / "pairplot.png")
     units = [CHANNELS[name].unit for name in windows.channels]
     predictive_figure(
-        windows.t,
+        windows.clock,
         measured,
         found.predicted.quantiles,
         windows.valid,

@@ -1,6 +1,5 @@
 """What is to be diagnosed: a vehicle, the recordings that it is fitted to, and those that are held out."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -9,7 +8,7 @@ import numpy as np
 from vehicle_sbi.data.masks import holdout, liveliest, liveliest_of
 from vehicle_sbi.data.noise import FEWEST, DrawnProcessNoise, EstimatedNoise, Mixture
 from vehicle_sbi.data.readers import RecordingFile
-from vehicle_sbi.data.recording import Recording
+from vehicle_sbi.data.together import Read, check_once, read, under_own_names
 from vehicle_sbi.data.windows import Windows, check_alike, joined, one_after_another
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.effect_prior import EffectPrior
@@ -27,7 +26,6 @@ MOST_RECORDINGS = 40  # that are fitted; of more the liveliest are used, since e
 MANY = 12  # recordings from which on every fourth one is held out whole, where none is named
 STIFFEST = 2.0  # step times rate: modes this fast are stable (to 2.78) and gone within a sample, at half the cost
 START = 2.0  # times what smoothing leaves over, which lacks the slow part of autocorrelated noise, is a start's spread
-Read = list[tuple[RecordingFile, Recording]]
 NO_DRAWS = DrawnProcessNoise(Mixture(np.zeros(0), np.zeros(0)), Mixture(np.zeros(0), np.zeros(0)), False)
 
 
@@ -76,9 +74,9 @@ class Diagnosis(Setup):
         inputs = {path: digest for _, recording in (*training, *held) for path, digest in recording.inputs.items()}
         cut = replace(self, window_s=self._window_s(training, held))
         names = tuple(recording.name for _, recording in held)
-        read = [recording for _, recording in (*training, *held)]
-        warnings = tuple(f"{recording.name}: {line}" for recording in read for line in recording.warnings)
-        wrong = tuple(f"{recording.name}: {line}" for recording in read for line in recording.wrong)
+        every = [recording for _, recording in (*training, *held)]
+        warnings = tuple(f"{recording.name}: {line}" for recording in every for line in recording.warnings)
+        wrong = tuple(f"{recording.name}: {line}" for recording in every for line in recording.wrong)
         if not held:
             training, held = cut.blocks(training)
             names = (f"blocks of {', '.join(recording.name for _, recording in training)}",)
@@ -164,25 +162,14 @@ class Diagnosis(Setup):
     def _read(self) -> tuple[Read, Read, list[str]]:
         """Recordings to fit and to hold out with the files that they come from, as much of them as fits in memory, and
         what was left out or held out."""
-        training, held = (
-            [(file, file.load()) for file in self._files(given)]
-            for given in (self.recordings or [self.recording], self.heldout)
-        )
-        _check_once(training, held)
+        training, held = (read(given, self.recording) for given in (self.recordings or [self.recording], self.heldout))
+        check_once(training, held)
         training, held, notes = _apart(training, held)
-        names = Counter(recording.name for _, recording in (*training, *held))
         kept = [
-            [
-                (file, _called(liveliest(recording, share), alone=names[recording.name] == 1))
-                for (file, recording), share in zip(part, _shares(part), strict=True)
-            ]
-            for part in (training, held)
+            [(file, liveliest(one, share)) for (file, one), share in zip(part, _shares(part), strict=True)]
+            for part in under_own_names(training, held)
         ]
         return kept[0], kept[1], notes
-
-    def _files(self, given: Sequence[str | RecordingFile]) -> list[RecordingFile]:
-        """Paths with the settings of `recording`, and named recordings with their own."""
-        return [replace(self.recording, path=one, name=None) if isinstance(one, str) else one for one in given]
 
     def observe(self, space: ParameterSpace, parts: Sequence[Windows], clock: Sequence[float]) -> Observation:
         """Recordings on one clock as one observation."""
@@ -225,26 +212,6 @@ def _shared_clock(parts: Sequence[Windows], others: Sequence[Windows]) -> tuple[
     held = [[one for one in others if one.recordings[0] == part.recordings[0]] for part in parts]
     shifts = one_after_another([[part, *same] for part, same in zip(parts, held, strict=True)])
     return shifts, [shift for shift, same in zip(shifts, held, strict=True) for _ in same]
-
-
-def _check_once(training: Read, held: Read) -> None:
-    """InputError for data that is given twice, whatever its file is called; two stretches of a file are other data."""
-    fitted, apart = (
-        [(recording.source, (*recording.files.values(), file.start_s, file.stop_s)) for file, recording in part]
-        for part in (training, held)
-    )
-    counts = Counter(data for _, data in fitted)
-    for where, recordings, known, why in (
-        ("heldout", apart, counts, "is also fitted; hold out another recording"),
-        ("recordings", fitted, [k for k, n in counts.items() if n > 1], "would count twice: it is the same data"),
-    ):
-        if twice := sorted({source for source, data in recordings if data in known}):
-            raise InputError(f"{where}: {', '.join(twice)} {why}")
-
-
-def _called(recording: Recording, *, alone: bool) -> Recording:
-    """The recording by its name, or by its path where another one has that name."""
-    return recording if alone else replace(recording, name=recording.source)
 
 
 def halves(held: Observation) -> tuple[Observation, Observation]:

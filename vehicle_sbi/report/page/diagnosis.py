@@ -33,7 +33,7 @@ from vehicle_sbi.report.page.parts import (
     raised,
     unit,
 )
-from vehicle_sbi.report.page.series import is_alone, series
+from vehicle_sbi.report.page.series import series
 from vehicle_sbi.report.tables.symbols import minus
 from vehicle_sbi.rounding import mean_and_std
 
@@ -154,7 +154,7 @@ def _left_over(found: Found, answer: Verdict) -> Section:
 def _places(found: Found, answer: Verdict) -> dict[str, list[tuple[float, float]]]:
     """Stretches of time in which the base model misses, by channel, where that is not all of it."""
     simulator = found.examined.fit.simulator
-    alone, places = is_alone(simulator.windows), dict[str, list[tuple[float, float]]]()
+    alone, places = simulator.windows.alone, dict[str, list[tuple[float, float]]]()
     for place in answer.mismatch:
         if not place.regime and not throughout(simulator, place.from_s, place.to_s):
             within = place.within if alone else [place]

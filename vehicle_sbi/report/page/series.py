@@ -7,7 +7,6 @@ from jaxtyping import Float
 
 from vehicle_sbi.data.channels import CHANNELS
 from vehicle_sbi.data.windows import Windows
-from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.report.page.charts import Series
 
 Signals = Float[np.ndarray, "channels time"]
@@ -37,15 +36,9 @@ def series(
     )
 
 
-def is_alone(windows: Windows) -> bool:
-    """Whether all windows are of one recording, whose own time they then have."""
-    return len({*windows.recordings}) <= 1
-
-
 def _time(windows: Windows) -> tuple[Float[np.ndarray, " time"], list[tuple[float, str]]]:
-    """Time of each sample [s], and when which recording begins."""
-    if is_alone(windows):
-        return windows.t.reshape(-1), []
-    clock = windows.u[..., INPUTS.index("time")]
-    starts = {name: float(first) for name, first in zip(windows.recordings[::-1], clock[::-1, 0], strict=True)}
+    """Time of each sample [s], and when which of several recordings begins."""
+    clock = windows.clock
+    named = [] if windows.alone else zip(windows.recordings[::-1], clock[::-1, 0], strict=True)
+    starts = {name: float(first) for name, first in named}
     return clock.reshape(-1), [(at, name) for name, at in reversed(starts.items())]
