@@ -147,6 +147,7 @@ def test_a_headline_counts(tmp_path: Path) -> None:
     found = table()
     assert headline(found.assign(identified=True)) == "The recording identifies all 3 parameters."
     assert headline(found.assign(identified=False)) == "The recording identifies none of 3 parameters."
+    assert headline(found.assign(identified=True), alone=False) == "The recordings identify all 3 parameters."
     assert headline(found.iloc[:1].assign(identified=True)) == "The recording identifies the parameter."
 
 

@@ -42,7 +42,7 @@ def page_of(
     """`recorded` are windows, measurements and the quantiles of their predictions; `figures` go by caption."""
     return Page(
         title=f"Parameters of {name}",
-        headline=headline(table),
+        headline=headline(table, alone=recorded[0].alone),
         lines=lines(table),
         warnings=warnings,
         shown=[
@@ -60,12 +60,13 @@ def page_of(
     )
 
 
-def headline(table: pd.DataFrame) -> str:
-    """How many parameters the recording told."""
+def headline(table: pd.DataFrame, *, alone: bool = True) -> str:
+    """How many parameters the recording, or several of them, told."""
     known, total = int(table["identified"].sum()), len(table)
+    identify = "The recording identifies" if alone else "The recordings identify"
     if known == total:
-        return f"The recording identifies {'the parameter' if total == 1 else f'all {total} parameters'}."
-    return f"The recording identifies {known or 'none'} of {total} parameter{'s' if total > 1 else ''}."
+        return f"{identify} {'the parameter' if total == 1 else f'all {total} parameters'}."
+    return f"{identify} {known or 'none'} of {total} parameter{'s' if total > 1 else ''}."
 
 
 def lines(table: pd.DataFrame) -> list[str]:
