@@ -30,13 +30,13 @@ def draws() -> pd.DataFrame:
     return pd.DataFrame({"l_f": 1.3 + 0.02 * common, **stiffness, ARM: arm})
 
 
-def write(folder: Path, theta: pd.DataFrame, included: np.ndarray) -> None:
+def write(folder: Path, theta: pd.DataFrame, included: np.ndarray, effect: str = ARM) -> None:
     """The file of a diagnosis, in as much of its form as is read."""
     posterior = {name: (("chain", "draw"), column.to_numpy()[None]) for name, column in theta.items()}
     there = {"included": (("chain", "draw", "effect_parameter"), included[None, :, None])}
     tree = {
         "/posterior": xr.Dataset(posterior),
-        "/sample_stats": xr.Dataset(there, coords={"effect_parameter": [ARM]}),
+        "/sample_stats": xr.Dataset(there, coords={"effect_parameter": [effect]}),
     }
     xr.DataTree.from_dict(tree).to_netcdf(folder / FILE, engine="h5netcdf")
 
@@ -108,6 +108,33 @@ def test_no_value_gets_a_negative_variance_from_pairs_of_different_draws(tmp_pat
     assert found is not None
     assert np.linalg.eigvalsh(found.to_numpy()).min() > -1e-12
     np.testing.assert_allclose(np.diag(found), 1.0)
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_what_multiplies_a_constant_is_averaged_over_whether_it_is_there(tmp_path: Path, keep: bool) -> None:
+    """C_alpha_f falls as the factor on it rises, so the axle's stiffness is known though the effect is not certain."""
+    g, name, there = np.random.default_rng(2), "stiffness_level.factor", np.arange(N) < 0.7 * N
+    factor = np.where(there, 0.8 + 0.02 * g.normal(size=N), 1.0)
+    theta = draws().drop(columns=ARM).assign(C_alpha_f=(1.0e5 + 2e3 * g.normal(size=N)) / factor)
+    conditional = asdict(drawn(factor[there], "1"))
+    named = {"effects": ["stiffness_level"], "probability": 0.7, "parameters": {name: conditional}}
+    after = {key: asdict(drawn(column.to_numpy(), "N/rad")) for key, column in theta.items()}
+    base = {key: {"before": {}, "after": one, "unit": one["unit"]} for key, one in after.items()}
+    diagnosis_of(tmp_path, explanations=[named], effects={"stiffness_level": 0.7}, base_parameters=base)
+    if keep:
+        write(tmp_path, theta.assign(**{name: factor}), there, name)
+    text = texts(tmp_path, "autoware")["mpc.param.yaml"]
+    if not keep:
+        assert "cf left out: stiffness_level.factor: compatible with no effect" in text
+        return
+    line, product = line_of(text, "cf:"), theta["C_alpha_f"] * factor
+    assert "averaged over whether stiffness_level is missing (0.70)" in line
+    axle = yaml.safe_load(text)["/**"]["ros__parameters"]["vehicle"]["cf"]
+    covariance = np.cov(theta["C_alpha_f"], factor, ddof=0)
+    slopes = np.array([factor.mean(), theta["C_alpha_f"].mean()])
+    std = float(np.sqrt(slopes @ covariance @ slopes))  # to first order, as `exported` has it
+    assert f"std {rounded(std, std)};" in line
+    assert axle == pytest.approx(product.mean(), abs=2.0 * abs(covariance[0, 1]))  # the second order's share
 
 
 def test_a_damaged_file_of_draws_is_one_line(tmp_path: Path) -> None:

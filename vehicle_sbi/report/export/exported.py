@@ -21,13 +21,17 @@ STEP = 1e-6  # of a value, or of 1 where that is larger, by which it is moved to
 @dataclass(frozen=True, kw_only=True)
 class Inferred:
     """A free parameter, whether it is identified and, if it is not, `why_not`, whether it lies on the edge of its
-    prior, and how probable its effect is where that was asked."""
+    prior, and how probable its effect is where that was asked.
+
+    The estimate is of draws that have the effect, or, `averaged`, of all draws, those without it at its null.
+    """
 
     estimate: Estimate
     identified: bool
     why_not: str = "not identified from these recordings"
     on_edge: bool = False
     probability: float | None = None
+    averaged: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,8 @@ def plain_json(known: Exported) -> dict[str, str]:
 
 def _plain(one: Inferred) -> dict[str, object]:
     probability = {} if one.probability is None else {"probability": one.probability}
-    return {**asdict(one.estimate), **probability}
+    averaged = {"averaged": True} if one.averaged else {}
+    return {**asdict(one.estimate), **probability, **averaged}
 
 
 def _constants(known: Exported) -> dict[str, dict[str, object]]:

@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,11 @@ from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.plausible import PLAUSIBLE
 from vehicle_sbi.inference.prior import KNOWN, flatten
 from vehicle_sbi.mismatch.answer.wording import NAMED
-from vehicle_sbi.mismatch.estimation.estimate import Estimate, quantity, told
+from vehicle_sbi.mismatch.estimation.estimate import Estimate, drawn, quantity, told
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.physics.vehicle import read as read_vehicle
 from vehicle_sbi.report import manifest, netcdf
+from vehicle_sbi.report.export.car import FACTORS
 from vehicle_sbi.report.export.exported import Exported, Inferred
 from vehicle_sbi.report.run_folder import FinishedRun
 from vehicle_sbi.report.run_folder import read as read_run
@@ -129,9 +130,9 @@ def _correlation(file: Path, names: list[str]) -> pd.DataFrame | None:
 def _diagnosis(run: FinishedRun) -> Exported:
     """What a verdict tells: base parameters with what is missing averaged over, and sizes of the effects it names."""
     file = run.file("verdict.json")
+    boxes = _boxes(run)
     try:
         verdict = json.loads(file.read_bytes())
-        boxes = _boxes(run)
         inferred = {**dict(_base(verdict, boxes)), **dict(_effects(verdict, boxes))}
         doubted = {name: float(p) for name, p in verdict["effects"].items() if p <= NAMED}
         caveats = list(_caveats(verdict))
@@ -139,22 +140,43 @@ def _diagnosis(run: FinishedRun) -> Exported:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{file}: not the verdict of a diagnosis of this version ({error!r})") from None
-    correlation = _together(run.file(netcdf.FILE), [*inferred])
+    draws = _draws(run.file(netcdf.FILE), [*inferred])
+    inferred |= _averaged(inferred, boxes, draws) if draws is not None else {}
+    correlation = None if draws is None else _together(_at_null(draws, inferred))
     caveats += [INDEPENDENT] if correlation is None else []
     return _exported(run, "diagnosis", inferred, correlation, doubted, caveats)
 
 
-def _together(file: Path, names: list[str]) -> pd.DataFrame | None:
-    """Correlations of a diagnosis's draws, each pair's from those in which both are there; None where it has none.
+def _draws(file: Path, names: list[str]) -> pd.DataFrame | None:
+    """A diagnosis's joint draws of some parameters, NaN where an effect is not there; None where it has none."""
+    draws = netcdf.read(file) if file.exists() else pd.DataFrame()
+    return draws[names] if set(names) <= set(draws) and len(draws) else None
 
-    A pair that is rarely there together counts as independent.
-    """
-    if not file.exists():
-        return None
-    draws = netcdf.read(file)
-    if not set(names) <= set(draws):
-        return None
-    return _proper(draws[names].corr(min_periods=FEWEST).fillna(0.0))
+
+def _averaged(
+    inferred: Mapping[str, Inferred], boxes: Mapping[str, tuple[float, float]], draws: pd.DataFrame
+) -> dict[str, Inferred]:
+    """What multiplies a constant, over all draws: a constant as driven then needs no certainty of the effect."""
+    found = dict[str, Inferred]()
+    for name in {*chain(*FACTORS.values())} & {*inferred}:
+        one, null = inferred[name], KNOWN[name].null
+        if one.probability is None or one.probability >= THERE or null is None:
+            continue
+        estimate = drawn(draws[name].fillna(null).to_numpy(), one.estimate.unit)
+        if _told(estimate, boxes.get(name)):
+            found[name] = replace(one, estimate=estimate, identified=True, averaged=True)
+    return found
+
+
+def _at_null(draws: pd.DataFrame, inferred: Mapping[str, Inferred]) -> pd.DataFrame:
+    """Draws with averaged parameters at their null where their effect is not there."""
+    return draws.fillna({name: KNOWN[name].null for name, one in inferred.items() if one.averaged})
+
+
+def _together(draws: pd.DataFrame) -> pd.DataFrame:
+    """Correlations of draws, each pair's from those in which both are there; one that is rarely there together counts
+    as independent."""
+    return _proper(draws.corr(min_periods=FEWEST).fillna(0.0))
 
 
 def _proper(correlation: pd.DataFrame) -> pd.DataFrame:

@@ -128,9 +128,15 @@ def remark(known: Exported, entry: Entry) -> str:
 
 
 def _conditions(known: Exported, names: Iterable[str]) -> list[str]:
-    """What has to be missing for sizes to be there at all, unless that is certain."""
-    found = {name.split(".")[0]: known.inferred[name].probability for name in names}
-    return [f"if {effect} is missing ({p:.2f})" for effect, p in found.items() if p is not None and p < SURE]
+    """What has to be missing for sizes to be there at all, or what is averaged over, unless it is certain."""
+    found = {name.split(".")[0]: known.inferred[name] for name in names}
+    doubtful = {effect: one for effect, one in found.items() if one.probability is not None and one.probability < SURE}
+    return [
+        f"averaged over whether {effect} is missing ({one.probability:.2f})"
+        if one.averaged
+        else f"if {effect} is missing ({one.probability:.2f})"
+        for effect, one in doubtful.items()
+    ]
 
 
 def _spread(mean: float, std: float, unit: str) -> str:
