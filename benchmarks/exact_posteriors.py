@@ -11,6 +11,7 @@ the same rounds. Goals: c2st below 0.60, means within 0.25 standard deviations, 
 import os
 import sys
 import time
+from collections.abc import Callable
 from datetime import date
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from estimators import ROOT, TRUNCATED, distance, exact, problem
 
 from vehicle_sbi.checkpoints import Checkpoints
 from vehicle_sbi.files import write_text
+from vehicle_sbi.inference.information import bound_std, fisher
 from vehicle_sbi.inference.proposal import draw
 from vehicle_sbi.inference.reweighting import posterior_draws
 from vehicle_sbi.inference.rounds import Problem, infer
@@ -84,8 +86,18 @@ def row(manoeuvre: str, seed: int) -> list[dict]:
     return rows
 
 
-def page(table: pd.DataFrame) -> str:
-    """Every problem, and how many reach each goal."""
+def over_bound(manoeuvre: str, seed: int) -> dict:
+    """Exact standard deviations over the Cramer-Rao bound at the truth; NaN where that is wider than the prior's."""
+    base, truth = problem(manoeuvre, seed)
+    space = base.simulator.space
+    bound = bound_std(fisher(base.simulator, truth), space.prior_std)
+    exact_std = np.concatenate(reference(base, truth, seed, FOLDER / f"{manoeuvre}_{seed}")).std(axis=0)
+    ratio = np.where(bound < space.prior_std, exact_std / bound, np.nan)
+    return {"manoeuvre": manoeuvre, "seed": seed, **dict(zip(space.names, ratio.tolist(), strict=True))}
+
+
+def page(table: pd.DataFrame, bounds: pd.DataFrame) -> str:
+    """Every problem, how many reach each goal, and exact widths beside the bound."""
     goals = {
         "c2st below 0.60": table["c2st"] < 0.60,
         "means within 0.25": table["largest shift"] < 0.25,
@@ -97,24 +109,31 @@ def page(table: pd.DataFrame) -> str:
     ].median()
     shown = table.drop(columns="said").round(3)
     about = f"{date.today()}, {processor()}. Of {len(table) // 2} problems:"
-    return "\n\n".join([about, markdown(counts), "Medians:", markdown(median.round(3).reset_index()), markdown(shown)])
+    beside = "Exact standard deviations over the Cramér-Rao bound at the truth, where that is below the prior's:"
+    parts = [markdown(median.round(3).reset_index()), markdown(shown), beside, markdown(bounds.round(2).fillna(""))]
+    return "\n\n".join([about, markdown(counts), "Medians:", *parts])
 
 
 def main() -> None:
     torch.set_num_threads(1)
     use_cores(1)
-    rows: list[dict] = []
+    rows, bounds = list[dict](), list[dict]()
     for manoeuvre, seeds in SEEDS.items():
         for seed in seeds:
-            stored = FOLDER / f"{manoeuvre}_{seed}" / "rows.csv"
-            if not stored.exists():
-                found = pd.DataFrame(row(manoeuvre, seed))
-                write_text(stored, found.to_csv(index=False))
-            rows += pd.read_csv(stored, keep_default_na=False).to_dict("records")
+            folder = FOLDER / f"{manoeuvre}_{seed}"
+            rows += stored(folder / "rows.csv", lambda m=manoeuvre, s=seed: row(m, s))
+            bounds += stored(folder / "bounds.csv", lambda m=manoeuvre, s=seed: [over_bound(m, s)])
             table = pd.DataFrame(rows)
             write_text(RESULTS.with_suffix(".csv"), table.to_csv(index=False))
-            write_text(RESULTS.with_suffix(".md"), page(table) + "\n")
+            write_text(RESULTS.with_suffix(".md"), page(table, pd.DataFrame(bounds)) + "\n")
             print(rows[-2:], flush=True)
+
+
+def stored(file: Path, make: Callable[[], list[dict]]) -> list[dict]:
+    """Rows of a file, which is made if it is not there."""
+    if not file.exists():
+        write_text(file, pd.DataFrame(make()).to_csv(index=False))
+    return pd.read_csv(file).replace({"said": {np.nan: ""}}).to_dict("records")
 
 
 if __name__ == "__main__":

@@ -87,7 +87,7 @@ def test_the_dictionary_has_every_kind(about: Linearised, known: Sequence[Direct
     off = [one.about(about.fit) for one in dictionary.sources(about.fit)]
     assert {type(one) for one in off} == {discrepancy.Discrepancy, quantisation.InSteps}
     columns = len(expansion.sizes) + sum(len(one.series) for one in off)
-    assert sum(len(one.sign) for one in dictionary.believed(expansion, off, PRIOR)) == columns
+    assert sum(len(one.low) for one in dictionary.believed(expansion, off, PRIOR)) == columns
 
 
 def test_names_tell_all_hypotheses_apart(about: Linearised, known: Sequence[Direction]) -> None:
@@ -176,7 +176,8 @@ def test_beliefs_are_probabilities_and_amplitudes_beyond_nothing(kind: str, expa
         assert one.share.min() > 0.0
         assert one.share.sum() == pytest.approx(1.0)
         assert 0.0 < one.nothing < one.amplitude.min()
-        assert {*one.sign.tolist()} <= {-1, 0, 1}
+        assert np.all(one.low <= 0.0)
+        assert np.all(one.high >= 0.0)
 
 
 @pytest.mark.parametrize("kind", BELIEVED)
@@ -185,21 +186,21 @@ def test_where_nothing_is_recorded_what_is_believed_comes_back(kind: str, expans
     # independent. Five standard deviations are allowed.
     believed = BELIEVED[kind](expansion)
     none = np.empty(0)
-    groups, n = Groups.of(believed, 1, low=none, high=none, outside=0.01), 1 + sum(len(one.sign) for one in believed)
+    groups, n = Groups.of(believed, 1, low=none, high=none, outside=0.01), 1 + sum(len(one.low) for one in believed)
     shared, chain = Shared(missing=(1.0,), discrepant=(1.0,)), Chain(chains=2, sweeps=2050, forgotten=50, every=1)
     drawn = sample(np.zeros((n, n)), np.zeros(n), groups, shared, chain, np.random.default_rng(0))
     for k, one in enumerate(believed):
         off = 5.0 * np.sqrt(one.rate * (1.0 - one.rate) / 1000.0)
         assert drawn.included[:, k].mean() == pytest.approx(one.rate, abs=off)
-        columns = drawn.coefficient[drawn.included[:, k], groups.stop[k] - len(one.sign) : groups.stop[k]]
-        assert np.all(one.sign * columns >= 0.0)
+        columns = drawn.coefficient[drawn.included[:, k], groups.stop[k] - len(one.low) : groups.stop[k]]
+        assert np.all((one.low <= columns) & (columns <= one.high))
 
 
 def test_an_effect_is_believed_as_often_as_stated_and_on_the_sides_of_its_null_that_its_box_has(
     expansion: Expansion,
 ) -> None:
     believed = effect.believed(expansion, PRIOR)
-    assert max(len(one.sign) for one in believed) > 1
+    assert max(len(one.low) for one in believed) > 1
     assert [one.rate for one in believed for _ in one.sign] == [PRIOR.rate_of(p) for p in expansion.sizes]
     signs = [int(sign) for one in believed for sign in one.sign]
     assert signs == [(p.low >= null(p)) - (p.high <= null(p)) for p in expansion.sizes]

@@ -106,10 +106,16 @@ class Expansion:
         return self.unit * np.where(self.ratio, theta / np.where(self.ratio, self.rest, 1.0), 1.0)
 
     @property
+    def bounds(self) -> tuple[Float[np.ndarray, " sizes"], Float[np.ndarray, " sizes"]]:
+        """Coefficients of sizes at the ends of their boxes, which enclose 0 or begin or end there."""
+        sizes = slice(len(self.base), len(self.base) + len(self.sizes))
+        low, high = (self.coefficients(end)[sizes] for end in (self.space.low, self.space.high))
+        return np.minimum(low, 0.0), np.maximum(high, 0.0)
+
+    @property
     def reach(self) -> Float[np.ndarray, " sizes"]:
         """How far sizes can be from their nulls within their boxes, in coefficients."""
-        sizes = slice(len(self.base), len(self.base) + len(self.sizes))
-        return np.max([np.abs(self.coefficients(end)[sizes]) for end in (self.space.low, self.space.high)], axis=0)
+        return np.max(np.abs(self.bounds), axis=0)
 
     @property
     def groups(self) -> list[int]:

@@ -93,7 +93,8 @@ def believed(columns: int, prior: EffectPrior) -> Belief:
         nothing=NOTHING * prior.scale * AMPLITUDES[0],
         amplitude=prior.scale * AMPLITUDES,
         share=share / share.sum(),
-        sign=np.zeros(columns, dtype=np.int64),
+        low=np.full(columns, -np.inf),
+        high=np.full(columns, np.inf),
     )
 
 

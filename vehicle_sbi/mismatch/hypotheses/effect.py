@@ -41,7 +41,7 @@ def tested(fit: Fit, known: Sequence[Direction]) -> list[Hypothesis]:
 def believed(expansion: Expansion, prior: EffectPrior) -> list[Belief]:
     """Each size by itself, profiles over time together, in the order of the expansion's sizes."""
     amplitude, share = np.array(prior.slabs).T
-    share = share / share.sum()
+    share, (low, high) = share / share.sum(), expansion.bounds
     return [
         Belief(
             named=True,
@@ -49,7 +49,8 @@ def believed(expansion: Expansion, prior: EffectPrior) -> list[Belief]:
             nothing=prior.negligible,
             amplitude=amplitude,
             share=share,
-            sign=expansion.sign[stop - n : stop],
+            low=low[stop - n : stop],
+            high=high[stop - n : stop],
         )
         for stop, n in zip(np.cumsum(expansion.groups), expansion.groups, strict=True)
     ]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class Belief:
     """What is believed of neighbouring columns of the linear model, which are missing together.
 
     They are missing with probability `rate`. Their coefficients then have one of the standard deviations `amplitude`,
-    with probabilities `share`, else `nothing`, which is negligible. An effect is `named`. `sign` is 1 for a coefficient
-    that cannot be negative, -1 for one that cannot be positive, else 0.
+    with probabilities `share`, else `nothing`, which is negligible. An effect is `named`. Where it is missing, a
+    coefficient lies between `low` and `high`, which enclose 0 or begin or end there.
     """
 
     named: bool
@@ -63,7 +63,8 @@ class Belief:
     nothing: float
     amplitude: Float[np.ndarray, " levels"]
     share: Float[np.ndarray, " levels"]
-    sign: Int[np.ndarray, " columns"]
+    low: Float[np.ndarray, " columns"]
+    high: Float[np.ndarray, " columns"]
 
 
 def changes_of(alone: Sequence[Hypothesis], shape: tuple[int, ...]) -> Float[np.ndarray, "k channels time"]:

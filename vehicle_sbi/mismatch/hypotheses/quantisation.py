@@ -148,14 +148,15 @@ class Reading:
 
 def believed(share: float, prior: EffectPrior) -> Belief:
     """Of a share of all steps that a sensor may read in, as often as it is off in any other way."""
-    one = np.ones(1)
+    one, endless = np.ones(1), np.full(1, np.inf)
     return Belief(
         named=False,
         rate=prior.discrepancy * share,
         nothing=NOTHING,
         amplitude=one,
         share=one,
-        sign=np.zeros(1, dtype=np.int64),
+        low=-endless,
+        high=endless,
     )
 
 

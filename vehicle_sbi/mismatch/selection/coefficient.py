@@ -1,6 +1,6 @@
 """One coefficient under its prior: the weight of its normal with that prior, and draws from both together.
 
-In a slab it counts by its square, on its side of zero; in a box by its mass there.
+In a slab it counts by its square within its bounds; in a box by its mass there.
 """
 
 import math
@@ -9,26 +9,32 @@ import numpy as np
 
 from vehicle_sbi.compiled import compiled_apart
 
-TAIL = 4.0 / math.sqrt(2.0 * math.pi)  # twice the mean square's factor in the tail
+TAIL = 2.0 / math.sqrt(2.0 * math.pi)  # the mean square's factor in the tail
+FAR = 8.0  # standard deviations, beyond which a normal has nothing
 CLEAR = 3.0  # standard deviations off zero, from which a normal hardly knows the other side of it
 
 
 @compiled_apart
-def log_slab(mean: float, variance: float, sd: float, sign: int) -> float:
-    """Log of the expected weight x^2 / sd^2 of a coefficient x under its normal, none on the wrong side of zero.
+def log_square(mean: float, variance: float, low: float, high: float) -> float:
+    """Log of the mean of x^2 between two bounds, which enclose zero or begin or end there, of a normal x.
 
-    With it, the normal of a slab is a moment prior (Johnson and Rossell 2010), which has no mass at zero.
+    Over that of a slab's normal it is what a coefficient in the slab counts by: under a moment prior (Johnson and
+    Rossell 2010), which has no mass at zero, cut off at the bounds.
     """
-    square = (mean * mean + variance) / (sd * sd)
-    if sign == 0:
-        return math.log(square)
+    if low < 0.0 and high <= 0.0:
+        return log_square(-mean, variance, -high, -low)
     std = math.sqrt(variance)
-    z = sign * mean / std
-    if z < -20.0:  # the tail's expansion: the mean square is 2 phi(z) / |z|^3 (1 - 6 / z^2) variances
-        return -0.5 * z * z + math.log(TAIL * variance / (sd * sd)) - 3.0 * math.log(-z) + math.log1p(-6.0 / (z * z))
-    density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
-    part = square * 0.5 * math.erfc(-z / math.sqrt(2.0)) + z * variance / (sd * sd) * density
-    return math.log(max(2.0 * part, 1e-300))
+    a, b, square = (low - mean) / std, (high - mean) / std, mean * mean + variance
+    if a < -FAR and b > FAR:
+        return math.log(square)
+    if low == 0.0 and a > 20.0:  # the tail's expansion: the mean square is 2 phi(a) / a^3 (1 - 6 / a^2) variances
+        return -0.5 * a * a + math.log(TAIL * variance) - 3.0 * math.log(a) + math.log1p(-6.0 / (a * a))
+    part = square * _mass(a, b)
+    if a > -FAR:
+        part += std * (mean + low) * math.exp(-0.5 * a * a) / math.sqrt(2.0 * math.pi)
+    if b < FAR:
+        part -= std * (mean + high) * math.exp(-0.5 * b * b) / math.sqrt(2.0 * math.pi)
+    return math.log(max(part, 1e-300))
 
 
 @compiled_apart
@@ -40,31 +46,55 @@ def log_box(mean: float, variance: float, low: float, high: float, outside: floa
 @compiled_apart
 def _within(mean: float, std: float, low: float, high: float) -> float:
     """Probability of a normal to be between two limits."""
-    wide = math.sqrt(2.0) * std
-    return 0.5 * (math.erfc((low - mean) / wide) - math.erfc((high - mean) / wide))
+    return _mass((low - mean) / std, (high - mean) / std)
 
 
 @compiled_apart
-def off_zero(mean, std, sign):
-    """A draw x in proportion to x^2 times a normal density, on its side of zero if it has one, by rejection.
+def _mass(a: float, b: float) -> float:
+    """Probability of a standard normal to be between two numbers, also where that is in a tail."""
+    if a + b < 0.0:
+        return _mass(-b, -a)
+    return 0.5 * (math.erfc(a / math.sqrt(2.0)) - math.erfc(b / math.sqrt(2.0)))
+
+
+@compiled_apart
+def off_zero(mean, std, low, high):
+    """A draw x in proportion to x^2 times a normal density, between bounds that enclose zero or begin or end there."""
+    if low < 0.0 and high <= 0.0:
+        return -off_zero(-mean, std, -high, -low)
+    if mean > high or mean < low < 0.0 or high - low < std:  # rather a normal draw between them, by rejection
+        most = max(low * low, high * high)
+        while True:
+            x = between(mean, std, low, high)
+            if np.random.random() * most < x * x:
+                return x
+    while True:
+        x = _off_zero(mean, std, low == 0.0)
+        if low <= x <= high:
+            return x
+
+
+@compiled_apart
+def _off_zero(mean, std, positive):
+    """The same without bounds, or above zero, by rejection.
 
     Away from zero, of the normal and of z^2 times it (Maxwell's law) in proportion to their parts; near it or beyond,
     of the gamma law t^2 exp(-rate t) that touches the density where it is largest over it.
     """
-    if sign != 0 and sign * mean < CLEAR * std:
-        low = -sign * mean / std
+    if positive and mean < CLEAR * std:
+        low = -mean / std
         rate = 0.5 * (low + math.sqrt(low * low + 12.0))
         while True:
             t = np.random.gamma(3.0, 1.0 / rate)
             if np.random.random() < math.exp(-0.5 * (t - rate + low) ** 2):
-                return sign * std * t
+                return std * t
     share = mean * mean / (mean * mean + std * std)
     while True:
         z = np.random.standard_normal()
         if np.random.random() > share:
             z = math.copysign(math.sqrt(z * z + 2.0 * np.random.exponential()), z)
         x = mean + std * z
-        if np.random.random() * 2.0 * (mean * mean + std * std * z * z) < x * x and sign * x >= 0.0:
+        if np.random.random() * 2.0 * (mean * mean + std * std * z * z) < x * x and (x >= 0.0 or not positive):
             return x
 
 
@@ -74,6 +104,12 @@ def mostly_within(mean, std, low, high, outside):
     within = (1.0 - outside) * _within(mean, std, low, high)
     if np.random.random() * (within + outside) >= within:
         return mean + std * np.random.standard_normal()
+    return between(mean, std, low, high)
+
+
+@compiled_apart
+def between(mean, std, low, high):
+    """A normal draw between two bounds."""
     a, b = (low - mean) / std, (high - mean) / std
     return mean + std * (_between(a, b) if b > 0.0 else -_between(-b, -a))
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vehicle_sbi.compiled import compiled_apart, compiled_beside
-from vehicle_sbi.mismatch.selection.coefficient import log_box, log_slab, mostly_within, off_zero
+from vehicle_sbi.mismatch.selection.coefficient import log_box, log_square, mostly_within, off_zero
 from vehicle_sbi.mismatch.selection.inverse import LEAST, along, factorise, rounded, set_precision, with_precision
 
 REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
@@ -28,9 +28,9 @@ class Believed(NamedTuple):
     amplitude: np.ndarray
     share: np.ndarray
     named: np.ndarray
-    sign: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    boxes: int
     outside: float
 
 
@@ -110,9 +110,12 @@ def _level_evidence(g, believed, state):
             grown = max(1.0 + d * max(e[i], 0.0), LEAST)
             c[i] = d / grown
             found[k] += -0.5 * math.log(grown) - 0.5 * c[i] * u[i] ** 2
+        own = _width(g, k, believed)
+        if own > 0.0:
+            found[k] -= log_square(0.0, own * own, low[first], high[first]) - 2.0 * math.log(own)
         for j in range(n):
-            width = _width(g, k, believed) if first <= j < last else state.slab[j]
-            boxed = j < len(low)
+            width = own if first <= j < last else state.slab[j]
+            boxed = j < believed.boxes
             if width <= 0.0 and not boxed:
                 continue
             mean, variance = m[j], S[j, j]
@@ -123,7 +126,7 @@ def _level_evidence(g, believed, state):
             if boxed:
                 found[k] += log_box(mean, variance, low[j], high[j], believed.outside)
             else:
-                found[k] += log_slab(mean, variance, width, believed.sign[j])
+                found[k] += log_square(mean, variance, low[j], high[j]) - 2.0 * math.log(width)
     return found
 
 
@@ -138,12 +141,18 @@ def _width(g, level, believed):
 def _drawn(H, believed, state):
     """Coefficients given the levels: from their normal, then those with a box or in a slab one after another given all
     others (Gibbs), under their priors' whole densities."""
-    m, precision, low, high = state.m, state.precision, believed.low, believed.high
-    n, boxed = len(m), len(low)
-    A = with_precision(H, precision)
+    m, S, low, high = state.m, state.S, believed.low, believed.high
+    n, boxed = len(m), believed.boxes
+    A = with_precision(H, state.precision)
     x = _with_precision_of(A)
     for j in range(n):
         x[j] += m[j]
+    for j in range(n):  # moved within its bounds, the others with it: what hardly can be told apart follows
+        if (j < boxed or state.slab[j] > 0.0) and not low[j] <= x[j] <= high[j]:
+            to = _drawn_alone(j, m[j], math.sqrt(S[j, j]), believed)
+            step = (to - x[j]) / S[j, j]
+            for i in range(n):
+                x[i] += step * S[i, j]
     off = np.empty(n)
     for _ in range(REDRAWN):
         for i in range(n):
@@ -155,14 +164,19 @@ def _drawn(H, believed, state):
                 continue
             std = 1.0 / math.sqrt(A[j, j])
             mean = x[j] - off[j] * std * std
-            if j < boxed:
-                to = mostly_within(mean, std, low[j], high[j], believed.outside)
-            else:
-                to = off_zero(mean, std, believed.sign[j])
+            to = _drawn_alone(j, mean, std, believed)
             for i in range(n):
                 off[i] += (to - x[j]) * A[j, i]
             x[j] = to
     return x
+
+
+@compiled_apart
+def _drawn_alone(j, mean, std, believed):
+    """A coefficient with a box or in a slab, from its normal under its prior's whole density."""
+    if j < believed.boxes:
+        return mostly_within(mean, std, believed.low[j], believed.high[j], believed.outside)
+    return off_zero(mean, std, believed.low[j], believed.high[j])
 
 
 @compiled_apart

@@ -7,10 +7,9 @@ With H = X X' and b = X r of whitened columns X and residual r, coefficients nor
 where the state s gives each group of columns one of a few amplitudes. A named effect has a *spike*, a size so small
 that it is negligible, and *slabs*, sizes that it has where it is missing (George and McCulloch 1993, stochastic search
 variable selection). How much is missing at all is learned, as a factor on the odds of all rates. A coefficient in a
-slab counts by its expected square, on the right side of zero where it may not be negative; one that is always there by
-its mass within its box. Expectations of several are taken for independent. Coefficients are integrated out; those of
-the states that are kept are drawn afterwards.
-The chain is in `gibbs`.
+slab counts by its expected square within the effect's bounds, over what the slab itself has there; one that is always
+there by its mass within its box. Expectations of several are taken for independent. Coefficients are integrated out;
+those of the states that are kept are drawn afterwards. The chain is in `gibbs`.
 """
 
 from collections.abc import Sequence
@@ -39,13 +38,14 @@ class Chain:
 class Groups:
     """What is believed of groups of neighbouring columns, as arrays.
 
-    `stop` is where each group's columns end; those before `start` are always there, with a precision of 1. The first of
-    these lie within `low` and `high`, but with probability `outside`. Levels begin with nothing, the spike of a named
-    group, and end with zeros where a group has fewer.
+    `stop` is where each group's columns end; those before `start` are always there, with a precision of 1. The first
+    `boxes` of these lie within `low` and `high`, but with probability `outside`; a named coefficient does where it is
+    missing. Levels begin with nothing, the spike of a named group, and end with zeros where a group has fewer.
     """
 
-    low: Float[np.ndarray, " boxes"]
-    high: Float[np.ndarray, " boxes"]
+    low: Float[np.ndarray, " n"]
+    high: Float[np.ndarray, " n"]
+    boxes: int
     outside: float
     start: int
     stop: Int[np.ndarray, " k"]
@@ -53,7 +53,6 @@ class Groups:
     share: Float[np.ndarray, "k levels"]
     rate: Float[np.ndarray, " k"]
     named: Bool[np.ndarray, " k"]
-    sign: Int[np.ndarray, " n"]
 
     @classmethod
     def of(
@@ -66,18 +65,18 @@ class Groups:
         outside: float,
     ) -> "Groups":
         """Hypotheses one after another, behind so many columns that are always there, the first of them in boxes."""
-        levels = max((len(one.amplitude) for one in believed), default=0)
+        levels, free = max((len(one.amplitude) for one in believed), default=0), np.full(start - len(low), np.inf)
         return cls(
-            low=low,
-            high=high,
+            low=np.concatenate([low, -free, *(one.low for one in believed)]),
+            high=np.concatenate([high, free, *(one.high for one in believed)]),
+            boxes=len(low),
             outside=outside,
             start=start,
-            stop=start + np.cumsum([len(one.sign) for one in believed], dtype=np.int64),
+            stop=start + np.cumsum([len(one.low) for one in believed], dtype=np.int64),
             amplitude=np.array([_levels(one.nothing, one.amplitude, levels) for one in believed]),
             share=np.array([_levels(1.0, one.share, levels) for one in believed]),
             rate=np.array([one.rate for one in believed]),
             named=np.array([one.named for one in believed]),
-            sign=np.concatenate([np.zeros(start, dtype=np.int64), *(one.sign for one in believed)]),
         )
 
     @property
@@ -85,7 +84,7 @@ class Groups:
         """The same for the chain."""
         first = np.concatenate([[self.start], self.stop[:-1]])
         return Believed(
-            first, self.stop, self.amplitude, self.share, self.named, self.sign, self.low, self.high, self.outside
+            first, self.stop, self.amplitude, self.share, self.named, self.low, self.high, self.boxes, self.outside
         )
 
 
