@@ -9,6 +9,7 @@ import yaml
 from test_plausibility import RATE, RECORDINGS, drive, healthy, recording
 
 from vehicle_sbi.data.channels import CHANNELS
+from vehicle_sbi.data.formats.table import Table
 from vehicle_sbi.data.inspection.contents import Column, contents
 from vehicle_sbi.data.inspection.excitation import ONE_SIDED, excitation
 from vehicle_sbi.data.inspection.guess import guess
@@ -16,6 +17,7 @@ from vehicle_sbi.data.inspection.inspection import Inspection, inspect
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
 from vehicle_sbi.data.inspection.units import split
 from vehicle_sbi.data.inspection.written import ADVICE, mapping_text, vehicle_text, write
+from vehicle_sbi.data.mapping import ChannelSource
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.physics.vehicle import MEANINGS, Vehicle
@@ -141,7 +143,7 @@ def test_rates_and_gaps_of_a_clock_are_said(tmp_path: Path) -> None:
     said = spoken(inspect(RecordingFile(path=tmp_path / "a.csv")))
     assert "900 rows in 19.98 s, usually at 50 Hz, 1 gap, the longest 2.02 s from 5.98 s" in said
     assert "constant: constant" in said
-    assert "missing: steering, v_x" in said
+    assert "missing: steering, v_x, yaw_rate" in said
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1.0, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")])
@@ -215,6 +217,20 @@ def test_a_given_mapping_is_checked_instead_of_a_guess(tmp_path: Path) -> None:
     found = inspect(RecordingFile(path=path.path, mapping=mapping))
     assert found.given
     assert "is a_y or yaw_rate flipped?" in found.wrong[0]
+
+
+def test_a_mapping_that_takes_another_quantity_for_a_channel_is_said(tmp_path: Path) -> None:
+    turning = drive()["yaw_rate"]
+    table = Table(path=tmp_path / "a.csv", columns={"turn": turning}, time="time_s", units={"turn": "rad/s"})
+    assert ChannelSource(column="turn", unit="rad").overridden("steering", table) == ["turn"]
+    assert ChannelSource(column="turn", unit="deg/s").overridden("yaw_rate", table) == []
+    assert ChannelSource(column="turn").overridden("yaw_rate", table) == []
+
+
+def test_a_stretch_that_ends_before_it_begins_is_refused(tmp_path: Path) -> None:
+    path = csv(tmp_path / "a.csv", {"time_s": np.arange(2000) / RATE, "v_x_mps": drive()["v_x"]}).path
+    with pytest.raises(InputError, match="start_s = 12 does not lie before stop_s = 4"):
+        RecordingFile(path=path, start_s=12.0, stop_s=4.0).load()
 
 
 def test_a_drive_that_cannot_be_read_says_why(tmp_path: Path) -> None:

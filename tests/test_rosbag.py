@@ -19,6 +19,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from vehicle_sbi.data.formats.registry import read_tables
 from vehicle_sbi.data.formats.ros_definitions import DEFINITIONS
 from vehicle_sbi.data.formats.ros_messages import numbers
+from vehicle_sbi.data.inspection.inspection import inspect
+from vehicle_sbi.data.inspection.spoken import spoken
 from vehicle_sbi.data.mapping import mapping_file
 from vehicle_sbi.data.readers import RecordingFile
 from vehicle_sbi.errors import InputError
@@ -268,6 +270,31 @@ def twist(types, place: int, stamp: int | None = None):
     )
     speed, zero = (kinds["geometry_msgs/msg/Vector3"](x=x, y=0.0, z=0.0) for x in (float(place), 0.0))
     return kinds[TWIST](header=header, twist=kinds["geometry_msgs/msg/Twist"](linear=speed, angular=zero))
+
+
+def test_a_topic_that_is_sent_once_is_listed_beside_the_others(tmp_path):
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = types.types
+    still = kinds["tf2_msgs/msg/TFMessage"](transforms=[])
+    with Writer2(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        once = writer.add_connection("/a_once", TWIST, typestore=types)
+        static = writer.add_connection("/tf_static", "tf2_msgs/msg/TFMessage", typestore=types)
+        often = writer.add_connection("/v", TWIST, typestore=types)
+        writer.write(once, START, types.serialize_cdr(twist(types, 0), TWIST))
+        writer.write(static, START, types.serialize_cdr(still, "tf2_msgs/msg/TFMessage"))
+        for k in range(100):
+            writer.write(often, START + 10_000_000 * k, types.serialize_cdr(twist(types, k), TWIST))
+    found = inspect(RecordingFile(path=tmp_path / "bag"))
+    assert found.tables[0].clock.name == "/v"
+    assert "  /a_once: 1 row, too few for a signal" in spoken(found)
+    assert found.guesses[0].columns == ("/v.twist.linear.x",)
+
+
+def test_a_folder_with_a_storage_file_and_no_metadata_names_the_file(tmp_path):
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "drive_0.mcap").write_bytes(b"")
+    with pytest.raises(InputError, match=r"it holds drive_0\.mcap: name that file"):
+        RecordingFile(path=tmp_path / "bag").load()
 
 
 def test_messages_are_sorted_and_those_with_equal_times_counted_as_rows_of_any_file_are(tmp_path):

@@ -1,6 +1,7 @@
 """A vehicle that cannot exist is refused in one line that says what was given and where."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import jaxtyping
@@ -11,7 +12,7 @@ from cars import PAPER
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, nominal_record
-from vehicle_sbi.physics.vehicle import BODY_PRIORS, CONSTANTS, GENERIC_PRIORS, IMU_PLACE, MAY_BE_ZERO, Vehicle
+from vehicle_sbi.physics.vehicle import BODY_PRIORS, CONSTANTS, GENERIC_PRIORS, IMU_PLACE, MAY_BE_ZERO, Vehicle, read
 
 
 @pytest.fixture(autouse=True)
@@ -93,3 +94,9 @@ def test_records_set_free_fields_and_nothing_else() -> None:
 def test_generic_priors_hold_possible_cars_only() -> None:
     assert GENERIC_PRIORS["l_f"].high < GENERIC_PRIORS["L"].low
     assert all(0.0 < p.low < p.high for p in GENERIC_PRIORS.values())
+
+
+def test_a_parameter_file_of_ros_is_no_vehicle_file(tmp_path: Path) -> None:
+    (tmp_path / "vehicle_info.param.yaml").write_text("/**:\n  ros__parameters:\n    wheel_base: 2.79\n")
+    with pytest.raises(InputError, match=r"is a parameter file of ROS; .* wheel_base is L there"):
+        read(str(tmp_path / "vehicle_info.param.yaml"))

@@ -100,6 +100,11 @@ class ChannelSource:
             )
         return found[1]
 
+    def overridden(self, name: str, table: Table) -> list[str]:
+        """Columns of another quantity, by the unit that the file states, in whose place the mapping's unit counts."""
+        found = {one: known_unit(table.unit(one)) for one in self.columns} if self.unit and name != "brake" else {}
+        return [column for column, stated in found.items() if stated and stated[0] != self._si(name, str(table.path))]
+
     def assumed(self, name: str, table: Table) -> list[str]:
         """What stands in brackets after the columns' names and is not understood, where nothing states a unit."""
         if self.unit is not None or name == "brake":

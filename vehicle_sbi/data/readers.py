@@ -136,6 +136,11 @@ class RecordingFile:
             for name, (table, source) in chosen.items()
             for odd in source.assumed(name, table)
         ]
+        notes += [
+            f"{name}: '{column}' is in {table.unit(column)} in the file, another quantity; {source.unit} counts"
+            for name, (table, source) in chosen.items()
+            for column in source.overridden(name, table)
+        ]
         return {
             name: _series(name, source, table, clocks[table.clock], notes) for name, (table, source) in chosen.items()
         }
@@ -170,13 +175,16 @@ class RecordingFile:
         rate = usual if self.rate is None else float(self.rate)
         if not rate > 0.0:
             raise InputError(f"{self.path}: rate {rate:g} Hz is not positive")
+        if self.start_s is not None and self.stop_s is not None and self.start_s >= self.stop_s:
+            raise InputError(f"{self.path}: start_s = {self.start_s:g} does not lie before stop_s = {self.stop_s:g}")
         start = max([t[0] for t in clocks] + ([] if self.start_s is None else [self.start_s]))
         stop = min([t[-1] for t in clocks] + ([] if self.stop_s is None else [self.stop_s]))
         inside = clocks[0][(clocks[0] >= start - 1e-6) & (clocks[0] <= stop + 1e-6)]
         if len(inside) < 2:
             spans = ", ".join(f"{low:.12g} to {high:.12g} s" for low, high in {(t[0], t[-1]) for t in clocks})
             raise InputError(
-                f"{self.path}: holds no samples from {start:.12g} to {stop:.12g} s; its files hold {spans}"
+                f"{self.path}: holds no samples from {start:.12g} to {stop:.12g} s; its files hold {spans}, by which "
+                "start_s and stop_s count"
             )
         if not uniform or rate != usual or any(not np.array_equal(t, clocks[0]) for t in clocks):
             longest = f"{1e3 * steps.max():.3g} ms" if steps.max() < 1.0 else f"{steps.max():.3g} s"

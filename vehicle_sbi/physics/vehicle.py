@@ -148,6 +148,11 @@ def read(path: str) -> Vehicle:
     if not isinstance(content, dict):
         raise InputError(f"vehicle file {path}: holds no constants; write one a line, as in 'm: 1500.0'")
     known = [field.name for field in fields(Vehicle)]
+    if "/**" in content:
+        raise InputError(
+            f"vehicle file {path}: is a parameter file of ROS; `inspect` writes a vehicle file. Of Autoware's "
+            "vehicle_info, wheel_base is L there, wheel_radius R_f, and wheel_tread track_f and track_r"
+        )
     for name in content:
         if name not in (*known, "_target_"):
             raise unknown("constant", str(name), known, f"vehicle file {path}")

@@ -105,6 +105,8 @@ def _format_of_folder(path: Path) -> Format:
         return ROS
     if (path / "CAN").is_dir() or (path / "IMU").is_dir():
         return COMMA2K19
+    bags = sorted(one.name for one in path.iterdir() if one.suffix.lower() in (".mcap", ".db3"))
+    inside = f"; it holds {bags[0]}: name that file" if len(bags) == 1 else ""
     raise InputError(
-        f"{path}: is no file, nor a folder of rosbag2 (with metadata.yaml) or of comma2k19 (with CAN/ and IMU/)"
+        f"{path}: is no file, nor a folder of rosbag2 (with metadata.yaml) or of comma2k19 (with CAN/ and IMU/){inside}"
     )

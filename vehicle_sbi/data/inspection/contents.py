@@ -16,6 +16,7 @@ from vehicle_sbi.data.units import not_understood, without_brackets
 from vehicle_sbi.errors import InputError
 
 TIMES = r"(time|time_?stamp|t|elapsed.*|utc.*|header_stamp|.*_time|time_.*)"
+FEWEST = 3  # times of a clock
 GAP = 0.1, 2.5  # [s] and usual steps that a gap lasts at least, as the reading of recordings has it
 
 
@@ -81,7 +82,8 @@ class Clock:
 class Contents:
     """What a table holds: its clock, its columns of numbers, and the names of those that hold none.
 
-    `beyond` names columns that were not read, as together they unpack to more than a file may.
+    `beyond` names columns that were not read, as together they unpack to more than a file may. Of a table with fewer
+    than FEWEST times beside others, as of a topic that is sent once, no column is looked at.
     """
 
     clock: Clock
@@ -96,12 +98,20 @@ def _prefixes(clock: str) -> tuple[str, ...]:
 
 
 def contents(path: Path, *, time: str | None = None, dbc: str | None = None) -> tuple[Contents, ...]:
-    """What a file holds, table by table; InputError if it cannot be read or a table has no times."""
-    return tuple(_contents(table, time) for table in read_tables(path, dbc))
+    """What a file holds, table by table, those with few times last; InputError if it cannot be read or a table has no
+    times."""
+    tables = read_tables(path, dbc)
+    clocks = [_clock(table, time) for table in tables]
+    if all(clock.rows < FEWEST for clock in clocks):
+        few = clocks[0]
+        raise InputError(f"{path}: column '{few.time}' holds {few.rows} times; a recording needs at least {FEWEST}")
+    found = [_contents(table, clock) for table, clock in zip(tables, clocks, strict=True)]
+    return tuple(sorted(found, key=lambda one: one.clock.rows < FEWEST))
 
 
-def _contents(table: Table, time: str | None) -> Contents:
-    clock = _clock(table, time)
+def _contents(table: Table, clock: Clock) -> Contents:
+    if clock.rows < FEWEST:
+        return Contents(clock=clock, columns=(), other=())
     columns, other, beyond = [], [], []
     for column in map(str, table.columns):
         if column == clock.time:
@@ -149,10 +159,8 @@ def _clock(table: Table, asked: str | None) -> Clock:
     dates = table.dates(time)
     values = table.numbers(time) if dates is None else dates
     values = values[np.isfinite(values)]
-    if len(values) < 3:
-        raise InputError(f"{table.path}: column '{time}' holds {len(values)} times; a recording needs at least 3")
     steps = np.diff(values)
-    usual = float(np.median(steps))
+    usual = float(np.median(steps)) if len(steps) else 0.0
     said = "s" if dates is not None else called(table.unit(time)) or split(time, is_time=True)[1]
     unit = said if said and si(said)[0] == "s" else guessed(usual)
     t, steps = values * si(unit)[1], steps * si(unit)[1]
@@ -165,8 +173,8 @@ def _clock(table: Table, asked: str | None) -> Clock:
         understood=dates is not None or not table.unit(time) or called(table.unit(time)) is not None,
         time_unit=unit,
         rows=len(values),
-        start=float(t[0]),
-        span=float(t[-1] - t[0]),
+        start=float(t[0]) if len(t) else 0.0,
+        span=float(t[-1] - t[0]) if len(t) else 0.0,
         rate=1.0 / step,
         gaps=tuple((float(t[k]), float(steps[k])) for k in long),
         back=int((steps <= 0.0).sum()),

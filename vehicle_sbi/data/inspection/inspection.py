@@ -32,9 +32,11 @@ class Inspection:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """What driving the model by a recorded speed needs and the mapping does not have."""
+        """What driving the model by a recorded speed needs, and what is compared by default, that the mapping does not
+        have."""
         steered = any(name in self.channels for name in STEERINGS)
-        return (*(() if steered else ("steering",)), *(name for name in NEEDED["speed"] if name not in self.channels))
+        wanted = (*NEEDED["speed"], *RecordingFile.channels)
+        return (*(() if steered else ("steering",)), *(name for name in wanted if name not in self.channels))
 
 
 def inspect(recording: RecordingFile) -> Inspection:

@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from vehicle_sbi.data.inspection.contents import Column, Contents
+from vehicle_sbi.data.inspection.contents import FEWEST, Column, Contents
 from vehicle_sbi.data.inspection.guess import Guess
 from vehicle_sbi.data.inspection.inspection import Inspection, time_settings
 
@@ -41,7 +41,11 @@ def _contents(inspection: Inspection) -> list[str]:
     users = {column: one.channel for one in inspection.guesses for column in one.columns}
     lines = [f"{inspection.path}"]
     for table in inspection.tables:
-        lines += [_clock(table), *_columns(table, users)]
+        if table.clock.rows < FEWEST:
+            rows = f"{table.clock.rows} row{'' if table.clock.rows == 1 else 's'}"
+            lines.append(f"  {table.clock.name}: {rows}, too few for a signal")
+        else:
+            lines += [_clock(table), *_columns(table, users)]
     return lines
 
 
