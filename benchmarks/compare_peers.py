@@ -31,7 +31,7 @@ import simulator as bench
 import torch
 from campaign import processor
 from estimators import SUMS, TRUNCATED, distance, problem
-from exact_posteriors import DRAWS, reference
+from exact_posteriors import DRAWS, reference, together
 from peers.in_c import InC
 from peers.in_numpy import InNumpy
 from scipy.optimize import least_squares
@@ -246,9 +246,7 @@ def study_rows() -> pd.DataFrame:
     rows = []
     for manoeuvre, seed in STUDIES.items():
         base, truth = problem(manoeuvre, seed)
-        exact = np.concatenate(
-            reference(base, truth, seed, ROOT / "outputs" / "exact_posteriors" / f"{manoeuvre}_{seed}")
-        )
+        exact = together(reference(base, truth, seed, ROOT / "outputs" / "exact_posteriors" / f"{manoeuvre}_{seed}"))
         for name, method in METHODS.items():
             file = FOLDER / f"{manoeuvre}_{name.partition(',')[0].replace(' ', '_')}.json"
             if not file.exists():

@@ -35,13 +35,13 @@ from vehicle_sbi.rng import Stream, seed_torch
 from vehicle_sbi.threads import use_cores
 
 SEEDS = {"paper_mild": range(530, 535), "paper_strong": range(535, 540)}
-WALKERS, DRAWS = 64, 5000
+DRAWS = 5000
 FOLDER = ROOT / "outputs" / "exact_posteriors"
 RESULTS = ROOT / "benchmarks" / "results" / "exact_posteriors"
 
 
 def reference(base: Problem, truth: np.ndarray, seed: int, folder: Path) -> list[np.ndarray]:
-    """Draws of two ensembles."""
+    """Draws (steps, walkers, d) of two ensembles."""
     chains = []
     for k in range(2):
         file = folder / f"exact_{k}.npy"
@@ -52,13 +52,18 @@ def reference(base: Problem, truth: np.ndarray, seed: int, folder: Path) -> list
     return chains
 
 
+def together(chains: list[np.ndarray]) -> np.ndarray:
+    """All draws (n, d) of all ensembles."""
+    return np.concatenate([chain.reshape(-1, chain.shape[-1]) for chain in chains])
+
+
 def convergence(chains: list[np.ndarray]) -> tuple[float, float]:
     """The largest R-hat of a parameter, and the smallest effective sample size of both ensembles together."""
-    each = np.stack(chains)
-    within, between = each.var(axis=1, ddof=1).mean(axis=0), each.mean(axis=1).var(axis=0, ddof=1)
+    flat = [chain.reshape(-1, chain.shape[-1]) for chain in chains]
+    within = np.mean([one.var(axis=0, ddof=1) for one in flat], axis=0)
+    between = np.var([one.mean(axis=0) for one in flat], axis=0, ddof=1)
     effective = [
-        chain.shape[0] / emcee.autocorr.integrated_time(chain.reshape(-1, WALKERS, chain.shape[1]), quiet=True)
-        for chain in chains
+        len(one) / emcee.autocorr.integrated_time(chain, quiet=True) for one, chain in zip(flat, chains, strict=True)
     ]
     return float(np.sqrt(1.0 + between / within).max()), float(np.sum(effective, axis=0).min())
 
@@ -80,7 +85,7 @@ def row(manoeuvre: str, seed: int) -> list[dict]:
             theta, said = draw(posterior, base.simulator.space, DRAWS), ""
         else:
             theta, said = posterior_draws(base, posterior, DRAWS)
-        found = distance(theta, np.concatenate(chains))
+        found = distance(theta, together(chains))
         about = {"manoeuvre": manoeuvre, "seed": seed, "R-hat": rhat, "effective": effective, "draws": name}
         rows.append({**about, **found, "seconds": seconds + time.perf_counter() - begin, "said": said})
     return rows
@@ -91,7 +96,7 @@ def over_bound(manoeuvre: str, seed: int) -> dict:
     base, truth = problem(manoeuvre, seed)
     space = base.simulator.space
     bound = bound_std(fisher(base.simulator, truth), space.prior_std)
-    exact_std = np.concatenate(reference(base, truth, seed, FOLDER / f"{manoeuvre}_{seed}")).std(axis=0)
+    exact_std = together(reference(base, truth, seed, FOLDER / f"{manoeuvre}_{seed}")).std(axis=0)
     ratio = np.where(bound < space.prior_std, exact_std / bound, np.nan)
     return {"manoeuvre": manoeuvre, "seed": seed, **dict(zip(space.names, ratio.tolist(), strict=True))}
 
@@ -110,7 +115,8 @@ def page(table: pd.DataFrame, bounds: pd.DataFrame) -> str:
     shown = table.drop(columns="said").round(3)
     about = f"{date.today()}, {processor()}. Of {len(table) // 2} problems:"
     beside = "Exact standard deviations over the Cramér-Rao bound at the truth, where that is below the prior's:"
-    parts = [markdown(median.round(3).reset_index()), markdown(shown), beside, markdown(bounds.round(2).fillna(""))]
+    ratios = markdown(bounds.round(2).astype(object).fillna(""))
+    parts = [markdown(median.round(3).reset_index()), markdown(shown), beside, ratios]
     return "\n\n".join([about, markdown(counts), "Medians:", *parts])
 
 
