@@ -38,7 +38,7 @@ def test_what_is_compiled_ahead_is_what_a_diagnosis_runs() -> None:
     ahead.compile_sampler()
     assert ahead.is_compiled()
     compiled = list(run_chain.signatures)
-    H, b, groups = problem(signed=True)
+    H, b, groups = problem(bounded=True)
     sample(H, b, groups, SHARED, Chain(chains=1, sweeps=4, forgotten=1, every=1), np.random.default_rng(0))
     assert run_chain.signatures == compiled
 

@@ -201,8 +201,9 @@ def test_an_effect_is_believed_as_often_as_stated_and_on_the_sides_of_its_null_t
 ) -> None:
     believed = effect.believed(expansion, PRIOR)
     assert max(len(one.low) for one in believed) > 1
-    assert [one.rate for one in believed for _ in one.sign] == [PRIOR.rate_of(p) for p in expansion.sizes]
-    signs = [int(sign) for one in believed for sign in one.sign]
+    assert [one.rate for one in believed for _ in one.low] == [PRIOR.rate_of(p) for p in expansion.sizes]
+    low, high = (np.concatenate([getattr(one, end) for one in believed]) for end in ("low", "high"))
+    signs = ((low >= 0.0) * 1 - (high <= 0.0) * 1).tolist()
     assert signs == [(p.low >= null(p)) - (p.high <= null(p)) for p in expansion.sizes]
     assert 1 in signs
 

@@ -36,7 +36,7 @@ class NormalMixture:
 
     def log_density(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         each = -0.5 * ((x[:, None] - self.mean) ** 2 / self.variance + np.log(2.0 * np.pi * self.variance))
-        return logsumexp(self.log_weight + each, axis=1)
+        return np.asarray(logsumexp(self.log_weight + each, axis=1))
 
     def sample(self, rng: np.random.Generator) -> Float[np.ndarray, " n"]:
         """A draw for each row."""
@@ -51,7 +51,7 @@ class NormalMixture:
         log_weight = self.log_weight + h[:, None] * self.mean - 0.5 * P * self.mean**2
         log_weight += 0.5 * variance * gain**2 - 0.5 * np.log(shrunk)
         return NormalMixture(
-            log_weight - logsumexp(log_weight, axis=1, keepdims=True), self.mean + variance * gain, variance
+            log_weight - np.asarray(logsumexp(log_weight, axis=1, keepdims=True)), self.mean + variance * gain, variance
         )
 
     def with_tails(self, mean: Float[np.ndarray, " n"], variance: float) -> "NormalMixture":
