@@ -59,30 +59,19 @@ def agree(some: Reweighted, others: Reweighted) -> None:
     np.testing.assert_allclose(np.log(some.theta.std(axis=0) / std), 0.0, atol=error)
 
 
+@pytest.mark.parametrize(
+    ("off", "wide"),
+    [(0.7, 1.6), (1.5, 2.0), (6.0, 0.3)],
+    ids=["worth much", "worth little, but where to propose again", "worth nothing, so the fit proposes"],
+)
 def test_the_answer_does_not_depend_on_who_proposed(
-    sim: Simulator, observed: np.ndarray, about: Laplace, right: Reweighted
+    off: float, wide: float, sim: Simulator, observed: np.ndarray, about: Laplace, right: Reweighted
 ) -> None:
-    wrong = by(sim, observed, about, 0.7, 1.6)
+    found = by(sim, observed, about, off, wide)
     assert right.trusted
-    assert wrong.trusted
-    agree(wrong, right)
-
-
-def test_proposals_that_are_worth_little_say_where_to_propose_again(
-    sim: Simulator, observed: np.ndarray, about: Laplace, right: Reweighted
-) -> None:
-    poor = by(sim, observed, about, 1.5, 2.0)
-    assert poor.trusted
-    assert poor.effective > DRAWN / 2
-    agree(poor, right)
-
-
-def test_where_proposals_are_worth_nothing_the_fit_proposes(
-    sim: Simulator, observed: np.ndarray, about: Laplace, right: Reweighted
-) -> None:
-    rescued = by(sim, observed, about, 6.0, 0.3)
-    assert rescued.trusted
-    agree(rescued, right)
+    assert found.trusted
+    assert found.effective > DRAWN / 2
+    agree(found, right)
 
 
 def test_draws_about_the_fit_need_no_network(sim: Simulator, observed: np.ndarray, right: Reweighted) -> None:

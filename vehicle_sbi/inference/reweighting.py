@@ -65,8 +65,8 @@ def posterior_draws(
     Features that lose information have a posterior of their own, which is left as it is. Needs torch's generator
     seeded, as all draws of a network.
     """
-    simulator, about = problem.simulator, problem.laplace if problem.features.efficient else None
-    if about is None or not applies(simulator):
+    simulator, about = problem.simulator, _fit(problem)
+    if about is None:
         return draw(posterior, simulator.space, n), None
     theta = draw(posterior, simulator.space, PROPOSED * n)
     rng = generator(seed=simulator.seed, stream=Stream.POSTERIOR)
@@ -79,12 +79,17 @@ def draws_about_the_fit(problem: Problem, n: int) -> Reweighted | None:
 
     None where the likelihood is not known, or the model does not explain what was observed.
     """
-    simulator, about = problem.simulator, problem.laplace if problem.features.efficient else None
-    if about is None or not applies(simulator):
+    simulator, about = problem.simulator, _fit(problem)
+    if about is None:
         return None
     rng = generator(seed=simulator.seed, stream=Stream.POSTERIOR, index=1)
     proposed = proposed_about(*about.marginal, simulator.space, PROPOSED * n, rng)
     return reweighted(simulator, problem.observed, proposed, about, n, rng)
+
+
+def _fit(problem: Problem) -> Laplace | None:
+    """What draws are proposed about; None where there is no fit, or none of whose draws the likelihood can weight."""
+    return problem.laplace if problem.features.efficient and applies(problem.simulator) else None
 
 
 def applies(simulator: Simulator) -> bool:

@@ -59,7 +59,7 @@ def _mass(a: float, b: float) -> float:
 
 @compiled_apart
 def off_zero(mean, std, low, high):
-    """A draw x in proportion to x^2 times a normal density, between bounds that enclose zero or begin or end there."""
+    """A draw x in proportion to x^2 times a normal density, between finite bounds as those of `log_square`."""
     if low < 0.0 and high <= 0.0:
         return -off_zero(-mean, std, -high, -low)
     if mean > high or mean < low < 0.0 or high - low < std:  # rather a normal draw between them, by rejection

@@ -20,8 +20,8 @@ class Pruned:
     """Draws from the posterior over the expanded model: `theta` (n, d) in the parameters' units, `included` (n, sizes)
     says which sizes are away from their nulls, `unexplained` (n,) whether a discrepancy, which no effect stands for, is
     large enough to be told from nothing, `beyond` (2, d) which shares of draws lay below and above each parameter's box
-    before they were folded back. `shows` (sizes) says which sizes would be seen beside the base parameters; others
-    are not named, and only widen what is said of those."""
+    before they were folded back (sizes are drawn within theirs, but for a profile over time). `shows` (sizes) says
+    which sizes would be seen beside the base parameters; others are not named, and only widen what is said of those."""
 
     expansion: Expansion
     theta: Float[np.ndarray, "n d"]
