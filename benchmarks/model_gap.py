@@ -2,6 +2,8 @@
 
     .venv/bin/python benchmarks/model_gap.py 203 3 23 47          (a seed and numbers of cases; a minute each)
     .venv/bin/python benchmarks/model_gap.py each 205 75 114      (with none and each of their effects alone, and all)
+    .venv/bin/python benchmarks/model_gap.py high 203 3 23 47     (their IMU on the body, at the height of the centre
+                                                                  of gravity and above it)
 
 The twin has other tyres than the tool's model, and wheels whose loads are uneven in a turn. Base parameters and those
 of `tyre_curve` and `lateral_load_transfer` are fitted to what its sensors would read, then the friction beside them.
@@ -34,9 +36,10 @@ INHERENT = tuple(p.name for name in ("tyre_curve", "lateral_load_transfer") for 
 FRICTION = "friction_level.factor"
 START = {
     "tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004, "lateral_load_transfer.track": 1.5,
-    "lateral_load_transfer.period": 0.6,
+    "lateral_load_transfer.period": 0.6, "body_roll.gradient": 0.006, "body_roll.period": 0.6,
 }  # fmt: skip
 STEPS = 30  # of Gauss-Newton
+HEIGHTS = (0.0, 0.5)  # [m] of an IMU above the centre of gravity
 NONE: Effects = {}
 
 
@@ -98,8 +101,23 @@ def each(seed: int, index: int) -> dict[str, float]:
     return {"case": index, "none": told(car, {})} | alone | {"all": told(car, acting(car))}
 
 
+def high(seed: int, index: int) -> dict[str, float]:
+    """What a fit leaves where the IMU leans with the body, and how high above the centre of gravity the fit has it."""
+    car, found = bare(seed, index), {"case": index}
+    leaning = replace(car, world=replace(car.world, on_body=True))
+    theirs = [p.name for name in ("body_roll", "imu_lever_arm") for p in CATALOGUE[name].parameters]
+    for z in HEIGHTS:
+        ratio, fitted = left(leaning, (*INHERENT, *theirs), {"imu_lever_arm": {"x": 0.3, "y": 0.1, "z": z}})
+        told = {"left": ratio, "l_f": fitted.get("l_f", np.nan), "found": fitted["imu_lever_arm.z"]}
+        found |= {f"{name}, {z} m high": value for name, value in told.items()}
+    return found | {"true l_f": car.base.get("l_f", np.nan)}
+
+
+OTHERS = {"each": each, "high": high}
+
+
 def main(*words: str) -> None:
-    of, words = (each, words[1:]) if words[0] == "each" else (row, words)
+    of, words = (OTHERS[words[0]], words[1:]) if words[0] in OTHERS else (row, words)
     rows = [of(int(words[0]), int(index)) for index in words[1:]]
     print(pd.DataFrame(rows).to_markdown(index=False, floatfmt=".3g"))
 

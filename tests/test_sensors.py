@@ -7,6 +7,7 @@ import pytest
 from cars import RATE, RIGID, coasting, finished, record_of
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
 from scipy.signal import lsim
 from scipy.spatial.transform import Rotation
 
@@ -189,6 +190,37 @@ def test_body_roll_sways_as_a_mass_on_a_spring_and_a_damper(lag: float, period: 
     y = measured(motion, body_roll_gradient=LEAN, body_roll_lag=lag, body_roll_period=period)
     expected = motion[:, MOTION.index("a_y")] * np.cos(roll) + G * np.sin(roll)
     np.testing.assert_allclose(y[A_Y], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.1])
+def test_a_high_imu_feels_the_body_sway(lag: float) -> None:
+    # A rigid body that turns about its centre of gravity, derivatives of its angles being those of a spline. What the
+    # angles follow is linear between samples, off by dt^2 / 8 of its second derivative (0.8), and times 1 / T^2 that is
+    # 2e-6 rad/s^2 in both of them.
+    rate, period, x, y, z, r = 2000.0, 0.7, 0.3, -0.2, 0.5, 0.25
+    t = np.arange(4001) / rate
+    motion = motion_of(len(t), r=r)
+    motion[:, MOTION.index("a_y")], motion[:, MOTION.index("a_x")] = 4.0 * np.sin(5.0 * t), 1.5 * np.sin(3.0 * t)
+    swaying = {"lag": lag, "period": period}
+    lean = {f"body_roll_{key}": value for key, value in swaying.items()} | {"body_roll_gradient": LEAN}
+    dive = {f"body_pitch_{key}": value for key, value in swaying.items()} | {"body_pitch_gradient": 0.004}
+    found = measured(motion, rate, **lean, **dive, imu_lever_arm_x=x, imu_lever_arm_y=y, imu_lever_arm_z=z)
+    T = period / (2.0 * math.pi)
+    system = ([1.0], [T**2, lag + 0.3 * T, 1.0])
+    roll = CubicSpline(t, LEAN * lsim(system, motion[:, MOTION.index("a_y")], t)[1])
+    pitch = CubicSpline(t, -0.004 * lsim(system, motion[:, MOTION.index("a_x")], t)[1])
+    w = np.stack([roll(t, 1), pitch(t, 1), np.full(len(t), r)], axis=1)
+    dw = np.stack([roll(t, 2), pitch(t, 2), np.zeros(len(t))], axis=1)
+    arm = np.array([x, y, z])
+    f = np.cross(dw, arm) + np.cross(w, np.cross(w, arm)) + [0.0, 0.0, G]
+    f[:, :2] += motion[:, [MOTION.index("a_x"), MOTION.index("a_y")]]
+    attitude = Rotation.from_euler("YX", np.stack([pitch(t), roll(t)], axis=1)).inv()
+    inside = slice(20, -20)
+    np.testing.assert_allclose(found[[A_X, A_Y, A_Z]].T[inside], attitude.apply(f)[inside], rtol=0.0, atol=4e-6)
+    turning = attitude.apply(np.outer(w[:, 2], [0.0, 0.0, 1.0])) + np.stack(
+        [w[:, 0], w[:, 1], np.zeros(len(t))], axis=1
+    )
+    np.testing.assert_allclose(found[[P, Q, YAW]].T[inside], turning[inside], atol=1e-6)
 
 
 def test_body_roll_without_a_period_is_what_it_is_with_a_short_one() -> None:

@@ -78,18 +78,20 @@ def sensed(motion: Series, t: np.ndarray, effects: Effects) -> Series:
     Specific force is acceleration minus gravity; g_x and g_y are what a climbing or banked road adds to it.
     """
     r, r_dot = motion["yaw_rate"], motion["r_dot"]
-    arm = effects.get("imu_lever_arm", {})
-    x, y = arm.get("x", 0.0), arm.get("y", 0.0)
     roll, pitch = effects.get("body_roll", {}), effects.get("body_pitch", {})
     phi, theta = motion.get("roll"), motion.get("pitch")
     if phi is None:
         phi = lagged(roll.get("gradient", 0.0) * motion["a_y"], t, roll.get("lag", 0.0))
     if theta is None:
         theta = lagged(pitch.get("gradient", 0.0) * motion["a_x"], t, pitch.get("lag", 0.0))
+    w = np.stack([np.gradient(phi, t), -np.gradient(theta, t), r], axis=1)
+    dw = np.stack([np.gradient(w[:, 0], t), np.gradient(w[:, 1], t), r_dot], axis=1)
+    arm = [effects.get("imu_lever_arm", {}).get(axis, 0.0) for axis in "xyz"]
+    swung = np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
     f = np.stack(
         [
-            motion["a_x"] - r_dot * y - r**2 * x + motion["g_x"] + GRAVITY * np.sin(theta),
-            motion["a_y"] + r_dot * x - r**2 * y + motion["g_y"] + GRAVITY * np.sin(phi),
+            motion["a_x"] + swung[:, 0] + motion["g_x"] + GRAVITY * np.sin(theta),
+            motion["a_y"] + swung[:, 1] + motion["g_y"] + GRAVITY * np.sin(phi),
             np.full(len(t), GRAVITY),
         ]
     )

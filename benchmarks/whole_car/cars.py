@@ -26,6 +26,7 @@ LENGTH_MULTIBODY_S = (11.0, 13.0)
 UNSTATED_CARCASS = 0.8  # share of vehicle files without K
 ROLL_DAMPING = (0.2, 0.45)  # as a ratio, stated; the three cars of CommonRoad have 0.37 to 0.45
 ROLL_CENTRE_M = (0.04, 0.14)  # above the ground, stated
+IMU_HEIGHT_M = (-0.3, 0.9)  # above the centre of gravity, of an IMU that is off it: on the floor, on the roof; stated
 OFF = 0.3  # by which stated stiffnesses are off at most
 OFF_L_F = 0.12  # [m]
 INHERENT: Mapping[str, tuple[str, ...]] = {
@@ -173,7 +174,10 @@ def whole_car(rng: np.random.Generator, worlds: Mapping[str, float] = WORLDS) ->
     effects |= missing.drawn_outside(rng, shortest, multibody=multibody) if name != OWN else {}
     shape = float(rng.uniform(1.2, 1.5))
     curvature = -(1.0 + shape**2 / 2) * float(rng.uniform(0.7, 1.0))
-    world: World = _leaning(Twin(car=car, gain=gain, C=shape, E=curvature, on_body=name != "twin"), rng.spawn(1)[0])
+    leaning, height = rng.spawn(2)
+    world: World = _leaning(Twin(car=car, gain=gain, C=shape, E=curvature, on_body=name != "twin"), leaning)
+    if "imu_lever_arm" in effects:
+        effects["imu_lever_arm"] |= {"z": float(height.uniform(*IMU_HEIGHT_M))}
     if name == OWN:
         world = OwnModel(car=car, model=given.model, drive_mode=given.drive, gain=gain)
         for effect, values in _always(car, rng).items():

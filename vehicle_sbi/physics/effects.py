@@ -195,10 +195,11 @@ CATALOGUE: Mapping[str, Effect] = {
                 front=("1", 0.9, 1.1, 1.0), rear=("1", 0.9, 1.1, 1.0)),
         # sensors
         _effect("body_roll", "sensor", "the body leans outwards and gravity leaks into a_y",
-                f"a_y = a_y cos(roll) + g sin(roll), {_swaying('roll', 'gradient a_y')}", f"{RAJAMANI}, sec. 15.2",
+                f"a_y = (a_y - z d2(roll)/dt2) cos(roll) + g sin(roll), {_swaying('roll', 'gradient a_y')}",
+                f"{RAJAMANI}, sec. 15.2",
                 gradient=("rad/(m/s^2)", 0.0, 0.02, 0.0), lag=("s", 0.0, 0.3, 0.0), period=("s", 0.0, 1.0, 0.0)),
         _effect("body_pitch", "sensor", "the nose lifts under acceleration and gravity leaks into a_x",
-                f"a_x = a_x cos(pitch) - g sin(pitch), {_swaying('pitch', '-gradient a_x')}",
+                f"a_x = (a_x + z d2(pitch)/dt2) cos(pitch) - g sin(pitch), {_swaying('pitch', '-gradient a_x')}",
                 f"{RAJAMANI}, sec. 15.2",
                 gradient=("rad/(m/s^2)", 0.0, 0.02, 0.0), lag=("s", 0.0, 0.3, 0.0), period=("s", 0.0, 1.0, 0.0)),
         _effect("imu_lever_arm", "sensor", "the IMU sits away from the centre of gravity",

@@ -73,17 +73,18 @@ def imu_misalignment(p, f_x: float, f_y: float, f_z: float) -> tuple[float, floa
 
 
 @compiled
-def body_roll(p, roll: float, velocity: float, before: float, a_y: float, rate: float) -> tuple[float, float]:
-    """Roll angle [rad] and its rate a sample after (`roll`, `velocity`), towards gradient * a_y; a_y was `before`.
+def body_roll(p, roll: float, velocity: float, before: float, a_y: float, rate: float) -> tuple[float, float, float]:
+    """Roll angle [rad], its rate and acceleration a sample after (`roll`, `velocity`), towards gradient * a_y.
 
-    a_y [m/s^2] is what the body feels, gravity along a banked road included."""
+    a_y [m/s^2], which was `before`, is what the body feels, gravity along a banked road included."""
     gradient = p.body_roll_gradient
     return swaying(roll, velocity, gradient * before, gradient * a_y, p.body_roll_lag, p.body_roll_period, rate)
 
 
 @compiled
-def body_pitch(p, pitch: float, velocity: float, before: float, a_x: float, rate: float) -> tuple[float, float]:
-    """Pitch angle [rad], nose down, and its rate a sample after (`pitch`, `velocity`), towards -gradient * a_x."""
+def body_pitch(p, pitch: float, velocity: float, before: float, a_x: float, rate: float) -> tuple[float, float, float]:
+    """Pitch angle [rad], nose down, its rate and acceleration a sample after (`pitch`, `velocity`), towards
+    -gradient * a_x; a_x was `before`."""
     gradient = -p.body_pitch_gradient
     return swaying(pitch, velocity, gradient * before, gradient * a_x, p.body_pitch_lag, p.body_pitch_period, rate)
 
@@ -123,21 +124,21 @@ def measure(p, motion, t, rate: float, y) -> None:
     """Fill y (10, time) with MEASUREMENTS from motion (time, 14) at times t [s], before any lag, delay or noise."""
     g_y = road_bank(p)
     felt_x, felt_y = motion[0, A_X] + road_grade(p, t[0]), motion[0, A_Y] + g_y  # what leans the body
-    lean, leaning = p.body_roll_gradient * felt_y, 0.0
-    dive, diving = -p.body_pitch_gradient * felt_x, 0.0
+    lean, lean_rate = p.body_roll_gradient * felt_y, 0.0
+    dive, dive_rate = -p.body_pitch_gradient * felt_x, 0.0
     for k in range(motion.shape[0]):
         a_x, a_y, r, g_x = motion[k, A_X], motion[k, A_Y], motion[k, R], road_grade(p, t[k])
-        roll_rate, pitch_rate = motion[k, P], motion[k, Q]
-        lean, leaning = body_roll(p, lean, leaning, felt_y, a_y + g_y, rate)
-        dive, diving = body_pitch(p, dive, diving, felt_x, a_x + g_x, rate)
+        lean, lean_rate, lean_acceleration = body_roll(p, lean, lean_rate, felt_y, a_y + g_y, rate)
+        dive, dive_rate, dive_acceleration = body_pitch(p, dive, dive_rate, felt_x, a_x + g_x, rate)
         felt_x, felt_y = a_x + g_x, a_y + g_y
-        f_x, f_y, f_z = lever_arm(
-            p, a_x, a_y, roll_rate, pitch_rate, r, motion[k, P_DOT], motion[k, Q_DOT], motion[k, R_DOT]
-        )
+        roll, pitch = motion[k, ROLL] + lean, motion[k, PITCH] + dive
+        roll_rate, pitch_rate = motion[k, P] + lean_rate, motion[k, Q] + dive_rate
+        dw_x, dw_y = motion[k, P_DOT] + lean_acceleration, motion[k, Q_DOT] + dive_acceleration
+        f_x, f_y, f_z = lever_arm(p, a_x, a_y, roll_rate, pitch_rate, r, dw_x, dw_y, motion[k, R_DOT])
         f_x, f_y, f_z = f_x + g_x, f_y + g_y, f_z + math.sqrt(GRAVITY * GRAVITY - g_x * g_x - g_y * g_y)
-        f_x, f_y, f_z = tilted(f_x, f_y, f_z, motion[k, ROLL] + lean, motion[k, PITCH] + dive)
+        f_x, f_y, f_z = tilted(f_x, f_y, f_z, roll, pitch)
         f_x, f_y, f_z = imu_misalignment(p, f_x, f_y, f_z)
-        w_x, w_y, w_z = tilted(0.0, 0.0, r, motion[k, ROLL], motion[k, PITCH])
+        w_x, w_y, w_z = tilted(0.0, 0.0, r, roll, pitch)
         w_x, w_y, w_z = imu_misalignment(p, w_x + roll_rate, w_y + pitch_rate, w_z)
         f_x, f_y, f_z = accelerometer_scale(p, f_x, f_y, f_z)
         y[0, k], y[1, k] = accelerometer_bias(p, f_x, f_y)

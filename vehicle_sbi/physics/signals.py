@@ -49,24 +49,27 @@ def lagged(y: float, before: float, now: float, lag: float, rate: float) -> floa
 @compiled
 def swaying(
     y: float, dy: float, before: float, now: float, lag: float, period: float, rate: float
-) -> tuple[float, float]:
-    """A spring and a damper a sample after (`y`, `dy`), exactly, input linear from `before` to `now`: y and dy/dt.
+) -> tuple[float, float, float]:
+    """Spring and damper a sample after (`y`, `dy`), exactly, input linear from `before` to `now`: y, dy/dt, d2y/dt2.
 
     With T the natural period [s] over 2 pi and c = lag + 2 SPRUNG T, T^2 d2y/dt2 + c dy/dt = u - y has
     y = u - c du/dt as its particular solution on a straight line u; the rest decays as it does without input. Without
-    a period it is a first-order lag [s].
+    a period it is a first-order lag [s], and without that the line itself.
     """
+    slope = rate * (now - before)
+    if period <= SHORTEST and lag <= 0.0:
+        return now, slope, 0.0
     if period <= SHORTEST:
-        return lagged(y, before, now, lag, rate), 0.0
+        y = lagged(y, before, now, lag, rate)
+        return y, (now - y) / lag, (slope - (now - y) / lag) / lag
     T = period / (2.0 * math.pi)
-    c, stiffness, slope = max(lag, 0.0) + 2.0 * SPRUNG * T, 1.0 / (T * T), rate * (now - before)
+    c, stiffness = max(lag, 0.0) + 2.0 * SPRUNG * T, 1.0 / (T * T)
     a = 0.5 * c * stiffness
     cosine, sine = _free(a, a * a - stiffness, stiffness, 1.0 / rate)
     off, d_off = y - before + c * slope, dy - slope
-    return (
-        now - c * slope + (cosine + a * sine) * off + sine * d_off,
-        slope - stiffness * sine * off + (cosine - a * sine) * d_off,
-    )
+    y = now - c * slope + (cosine + a * sine) * off + sine * d_off
+    dy = slope - stiffness * sine * off + (cosine - a * sine) * d_off
+    return y, dy, stiffness * (now - y - c * dy)
 
 
 @compiled
