@@ -43,12 +43,12 @@ HEIGHTS = (0.0, 0.5)  # [m] of an IMU above the centre of gravity
 NONE: Effects = {}
 
 
-def bare(seed: int, index: int) -> WholeCar:
-    """The car of a case, its IMU on a level platform and nothing missing."""
+def bare(seed: int, index: int, *, on_body: bool = False) -> WholeCar:
+    """The car of a case, its IMU on a level platform or on the body, and nothing missing."""
     car, _ = driven(seed, index)
     if not isinstance(car.world, Twin):
         raise SystemExit(f"error: case {index} is a multi-body car")
-    return replace(car, world=replace(car.world, on_body=False))
+    return replace(car, world=replace(car.world, on_body=on_body))
 
 
 def left(car: WholeCar, names: Sequence[str], effects: Effects = NONE) -> tuple[float, dict[str, float]]:
@@ -103,11 +103,10 @@ def each(seed: int, index: int) -> dict[str, float]:
 
 def high(seed: int, index: int) -> dict[str, float]:
     """What a fit leaves where the IMU leans with the body, and how high above the centre of gravity the fit has it."""
-    car, found = bare(seed, index), {"case": index}
-    leaning = replace(car, world=replace(car.world, on_body=True))
+    car, found = bare(seed, index, on_body=True), {"case": index}
     theirs = [p.name for name in ("body_roll", "imu_lever_arm") for p in CATALOGUE[name].parameters]
     for z in HEIGHTS:
-        ratio, fitted = left(leaning, (*INHERENT, *theirs), {"imu_lever_arm": {"x": 0.3, "y": 0.1, "z": z}})
+        ratio, fitted = left(car, (*INHERENT, *theirs), {"imu_lever_arm": {"x": 0.3, "y": 0.1, "z": z}})
         told = {"left": ratio, "l_f": fitted.get("l_f", np.nan), "found": fitted["imu_lever_arm.z"]}
         found |= {f"{name}, {z} m high": value for name, value in told.items()}
     return found | {"true l_f": car.base.get("l_f", np.nan)}

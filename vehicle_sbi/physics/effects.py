@@ -90,7 +90,8 @@ def _effect(
 
 def _swaying(angle: str, input_: str) -> str:
     """How a body on springs and dampers leans, as an equation."""
-    return f"T^2 d2({angle})/dt2 + (lag + 0.3 T) d({angle})/dt = {input_} - {angle}, T = period / (2 pi)"
+    law = f"T^2 d2({angle})/dt2 + (lag + 0.3 T) d({angle})/dt = {input_} - {angle}, T = period / (2 pi)"
+    return f"{law}; z: the IMU above the centre of gravity"
 
 
 CATALOGUE: Mapping[str, Effect] = {
