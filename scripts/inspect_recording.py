@@ -13,8 +13,9 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from vehicle_sbi.command import as_typed
+from vehicle_sbi.command import CONF, as_typed
 from vehicle_sbi.data.inspection.inspection import Inspection
+from vehicle_sbi.data.inspection.presets import fitting
 from vehicle_sbi.data.inspection.spoken import next_command, spoken
 from vehicle_sbi.data.inspection.written import write, write_vehicle
 from vehicle_sbi.errors import InputError
@@ -28,6 +29,10 @@ def main(cfg: DictConfig) -> None:
         raise InputError(inspection.unread)
     own = vehicle_given(cfg)
     if not inspection.given:
+        for preset in fitting(inspection.tables, CONF / "mapping"):
+            print(
+                f"mapping={preset} knows this file's columns, and what to note of them: type it behind, to check it\n"
+            )
         mapping, vehicle = write(inspection, Path(cfg.to), vehicle=own, overwrite=cfg.overwrite)
         written = f"{mapping}, {vehicle}; edit both" if own is None else f"{mapping}; edit it"
         say_next(inspection, mapping, vehicle, f"written: {written}")

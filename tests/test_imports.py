@@ -19,6 +19,7 @@ data.formats.parquet data.formats.comma2k19 data.formats.matlab data.formats.ros
 data.formats.ros_unpacking data.formats.rosbag data.formats.can_frames data.formats.can_log data.formats.mdf_blocks
 data.elsewhere data.formats.registry data.formats.mdf data.mapping data.antialiasing data.readers data.together
 data.inspection.units data.inspection.names data.inspection.contents data.inspection.guess data.inspection.excitation
+data.inspection.presets
 data.inspection.inspection data.inspection.spoken data.inspection.written data.manoeuvre data.noise
 inference.prior inference.effect_prior inference.spike_slab inference.importance inference.simulator
 inference.information inference.setup inference.informative inference.embedding inference.emulator inference.features

@@ -78,6 +78,13 @@ def test_a_preset_is_held_against_the_file_and_only_the_vehicle_is_written(tmp_p
     assert (tmp_path / "drive.vehicle.yaml").read_text() == "m: 1500\n"
 
 
+def test_a_preset_whose_columns_the_file_has_is_named(tmp_path: Path, inspected: tuple[Path, str]) -> None:
+    status, out, err = inspect(f"recording={written(tmp_path, 'mcap')}", f"to={tmp_path}")
+    assert (status, err) == (0, "")
+    assert [line.split()[0] for line in out.splitlines() if "knows this file's columns" in line] == ["mapping=autoware"]
+    assert "knows this file's columns" not in inspected[1]
+
+
 def test_an_edited_mapping_is_held_against_the_file(inspected: tuple[Path, str], tmp_path: Path) -> None:
     folder, _ = inspected
     mapping = yaml.safe_load((folder / "drive.mapping.yaml").read_text())
@@ -117,6 +124,11 @@ def test_topics_of_autoware_are_recognised_and_commands_are_not(tmp_path: Path) 
     found = {one.channel: one.columns for one in guess(columns)}
     assert found["steering"] == ("/vehicle/status/steering_status.steering_tire_angle",)
     assert found["v_x"] == ("/vehicle/status/velocity_status.longitudinal_velocity",)
+    speed = next(one for one in columns if one.field == "longitudinal_velocity")
+    late = replace(
+        speed, clock="/localization/kinematic_state", name="/localization/kinematic_state.longitudinal_velocity"
+    )
+    assert guess([late, speed])[0].columns == (speed.name,)
     command = {"clock": "/control/command", "name": "/control/command.lateral.steering_tire_angle"}
     steering = next(one for one in columns if one.field == "steering_tire_angle")
     assert guess([replace(steering, **command)]) == ()

@@ -290,6 +290,20 @@ def test_a_topic_that_is_sent_once_is_listed_beside_the_others(tmp_path):
     assert found.guesses[0].columns == ("/v.twist.linear.x",)
 
 
+def test_topics_that_cannot_be_read_are_named_beside_those_that_are_used(tmp_path):
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer2(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        odd = writer.add_connection("/odd", TWIST, typestore=types)
+        often = writer.add_connection("/v", TWIST, typestore=types)
+        writer.write(odd, START, bytes(types.serialize_cdr(twist(types, 0), TWIST))[:20])
+        for k in range(100):
+            writer.write(often, START + 10_000_000 * k, types.serialize_cdr(twist(types, k), TWIST))
+    found = inspect(RecordingFile(path=tmp_path / "bag"))
+    said = [note for note in found.notes if note.startswith("topics that cannot be read: /odd (")]
+    assert len(said) == 1
+    assert said[0] in spoken(found)
+
+
 def test_a_folder_with_a_storage_file_and_no_metadata_names_the_file(tmp_path):
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "drive_0.mcap").write_bytes(b"")

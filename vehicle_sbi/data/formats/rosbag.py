@@ -8,7 +8,7 @@ bag's time, else the time at which the bag received the message; the difference 
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -27,6 +27,7 @@ from vehicle_sbi.data.formats.table import Table, foreign, one_line
 from vehicle_sbi.errors import InputError
 
 LARGEST_MESSAGE = 16384  # [bytes]; images and point clouds are larger
+MOST_NAMED = 8  # topics that cannot be read; the rest is counted
 LONGEST_DELAY_S = 10.0  # between a message's stamp and its reception, beyond which the stamp is of another clock
 STAMPS = ("header.stamp", "stamp")
 COMPUTED = "SELECT count(*) FROM sqlite_master AS one, pragma_table_xinfo(one.name) AS it WHERE it.hidden > 0"
@@ -66,7 +67,13 @@ def read(path: Path) -> tuple[Table, ...]:
     tables = [table for topic in topics if (table := _table(path, topic, definitions, start, left_out, ros2=ros2))]
     if not tables:
         raise InputError(f"{path}: no topic with numbers in it; left out: {', '.join(left_out) or 'nothing'}")
-    return tuple(tables)
+    return tuple(replace(table, notes=(*table.notes, *_unread(left_out))) for table in tables)
+
+
+def _unread(topics: Sequence[str]) -> list[str]:
+    """What is said of topics that cannot be read, whichever topic is used."""
+    more = f" and {len(topics) - MOST_NAMED} more" if len(topics) > MOST_NAMED else ""
+    return [f"topics that cannot be read: {', '.join(topics[:MOST_NAMED])}{more}"] if topics else []
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from vehicle_sbi.data.inspection.names import (
     CORNERS,
     EITHER_STEERING,
     EXCLUDED,
+    FILTERED,
     LESS,
     NAMES,
     NATIVE,
@@ -91,7 +92,7 @@ def _channel(column: Column) -> tuple[str, int] | None:
 
 def _called(name: str, column: Column) -> tuple[str, int] | None:
     """The channel that a plain name speaks for, and its rank."""
-    penalty = 10 * bool(re.search(LESS, name))
+    penalty = 10 * bool(re.search(LESS, name) or re.search(FILTERED, plain(column.address)))
     corner = _corner(name)
     if re.search(WHEEL, name) and corner is not None and not re.search(NOT_SPEED, name):
         return _fitting(f"wheel_speed_{corner}", column, penalty)

@@ -87,6 +87,7 @@ TORQUE, NOT_TORQUE = r"tq|torque|moment", r"steer|eps|engine|eng_|driver|motor|b
 COMMANDS = r"target|desired|cmd|command|request|setpoint"  # in the name of a message too
 NEVER = r"rms|cov|std_?dev|variance|quality|status|valid|temp|jerk|counter"
 LESS = r"raw|backup|_2$"  # what is preferred the least
+FILTERED = r"localization|ekf|kalman|filtered|fused|estimat"  # in the name of a message too: late, and likewise
 
 CORNERS: Mapping[str, str] = MappingProxyType(
     {
