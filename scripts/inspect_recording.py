@@ -30,9 +30,7 @@ def main(cfg: DictConfig) -> None:
     own = vehicle_given(cfg)
     if not inspection.given:
         for preset in fitting(inspection.tables, CONF / "mapping"):
-            print(
-                f"mapping={preset} knows this file's columns, and what to note of them: type it behind, to check it\n"
-            )
+            print(f"mapping={preset}, a preset, has columns of this file: add it to this command, to check the file\n")
         mapping, vehicle = write(inspection, Path(cfg.to), vehicle=own, overwrite=cfg.overwrite)
         written = f"{mapping}, {vehicle}; edit both" if own is None else f"{mapping}; edit it"
         say_next(inspection, mapping, vehicle, f"written: {written}")

@@ -81,9 +81,8 @@ def test_a_preset_is_held_against_the_file_and_only_the_vehicle_is_written(tmp_p
 def test_a_preset_whose_columns_the_file_has_is_named(tmp_path: Path, inspected: tuple[Path, str]) -> None:
     status, out, err = inspect(f"recording={written(tmp_path, 'mcap')}", f"to={tmp_path}")
     assert (status, err) == (0, "")
-    assert [line.split(",")[0] for line in out.splitlines() if "a preset, has columns of this file" in line] == [
-        "mapping=autoware"
-    ]
+    named = [line.split(",")[0] for line in out.splitlines() if "a preset, has columns of this file" in line]
+    assert named == ["mapping=autoware"]
     assert "a preset, has columns of this file" not in inspected[1]
 
 
