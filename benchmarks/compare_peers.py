@@ -248,11 +248,12 @@ def study_rows() -> pd.DataFrame:
         base, truth = problem(manoeuvre, seed)
         exact = together(reference(base, truth, seed, ROOT / "outputs" / "exact_posteriors" / f"{manoeuvre}_{seed}"))
         for name, method in METHODS.items():
-            file = FOLDER / f"{manoeuvre}_{name.partition(',')[0].replace(' ', '_')}.json"
+            run = f"{manoeuvre}_{name.partition(',')[0].replace(' ', '_')}"
+            file = RESULTS / "peers" / f"{run}.json"
             if not file.exists():
                 answers = [
                     {"after": answer.after, "seconds": answer.seconds, **distance(answer.draws, exact)}
-                    for answer in method(base, seed, file.with_suffix(""))
+                    for answer in method(base, seed, FOLDER / run)
                 ]
                 write_text(file, json.dumps(answers))
             rows += [{"manoeuvre": manoeuvre, "method": name, **answer} for answer in json.loads(file.read_text())]

@@ -38,6 +38,10 @@ def _unknown(outside: bool) -> Callable[[Scored], np.ndarray]:
     return lambda one: listed(one.p_unknown) > NAMED if bool(one.outside) == outside else np.zeros(0)
 
 
+def _wrong(outside: bool) -> Callable[[Scored], np.ndarray]:
+    return lambda one: listed(len(one.wrong)) if bool(one.outside) == outside else np.zeros(0)
+
+
 def _doubt(one: Scored) -> float | None:
     """How many of its names a case expects to be wrong; none of those that are sure of all."""
     expected = sum(1.0 - p for p in one.names.values())
@@ -69,6 +73,8 @@ MEASURES: tuple[Measure[Scored], ...] = (
     Measure(
         f"names above {NAMED} that are not there, a case", lambda one: listed(len(one.wrong)), mean, "0.3", "0.1"
     ),
+    Measure("the same, something outside the catalogue", _wrong(True), mean),
+    Measure("the same, nothing outside", _wrong(False), mean),
     Measure("as many as the stated probabilities lead to expect", lambda one: listed(_doubt(one)), mean),
     Measure(f"names above {NAMED}, a case", lambda one: listed(len(one.names)), mean),
     Measure(
