@@ -138,7 +138,7 @@ def measure(p, motion, t, rate: float, y) -> None:
         f_x, f_y, f_z = f_x + g_x, f_y + g_y, f_z + math.sqrt(GRAVITY * GRAVITY - g_x * g_x - g_y * g_y)
         f_x, f_y, f_z = tilted(f_x, f_y, f_z, roll, pitch)
         f_x, f_y, f_z = imu_misalignment(p, f_x, f_y, f_z)
-        w_x, w_y, w_z = tilted(0.0, 0.0, r, roll, pitch)
+        w_x, w_y, w_z = tilted(0.0, 0.0, r, motion[k, ROLL], motion[k, PITCH])  # 1 - cos(lean) of r is left out
         w_x, w_y, w_z = imu_misalignment(p, w_x + roll_rate, w_y + pitch_rate, w_z)
         f_x, f_y, f_z = accelerometer_scale(p, f_x, f_y, f_z)
         y[0, k], y[1, k] = accelerometer_bias(p, f_x, f_y)
