@@ -61,7 +61,8 @@ def swaying(
         return now, slope, 0.0
     if period <= SHORTEST:
         y = lagged(y, before, now, lag, rate)
-        return y, (now - y) / lag, (slope - (now - y) / lag) / lag
+        dy = (now - y) / lag
+        return y, dy, (slope - dy) / lag
     T = period / (2.0 * math.pi)
     c, stiffness = max(lag, 0.0) + 2.0 * SPRUNG * T, 1.0 / (T * T)
     a = 0.5 * c * stiffness
