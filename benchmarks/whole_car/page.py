@@ -11,6 +11,7 @@ from vehicle_sbi.report.tables.text import markdown
 from whole_car.scores import STRONG, Parameters, Scored
 
 BINS = 10  # of stated probabilities
+SURE = 0.9  # probability of something unknown, from which names are looked at by themselves
 OWN = "this project"
 
 
@@ -40,6 +41,21 @@ def _unknown(outside: bool) -> Callable[[Scored], np.ndarray]:
 
 def _wrong(outside: bool) -> Callable[[Scored], np.ndarray]:
     return lambda one: listed(len(one.wrong)) if bool(one.outside) == outside else np.zeros(0)
+
+
+def _right(one: Scored) -> np.ndarray:
+    """Of each name whether it is right."""
+    return np.array([name not in one.wrong for name in one.names], dtype=float)
+
+
+def _stated(one: Scored) -> np.ndarray:
+    """Of each name its probability."""
+    return np.array(list(one.names.values()), dtype=float)
+
+
+def _beside(of: Callable[[Scored], np.ndarray], unknown: bool) -> Callable[[Scored], np.ndarray]:
+    """The same of those cases alone that are sure, or not, of something that no effect stands for."""
+    return lambda one: of(one) if one.p_unknown is not None and (one.p_unknown > SURE) == unknown else np.zeros(0)
 
 
 def _doubt(one: Scored) -> float | None:
@@ -94,6 +110,10 @@ MEASURES: tuple[Measure[Scored], ...] = (
     ),
     Measure(f"p_unknown above {NAMED}, something outside the catalogue", _unknown(True), mean),
     Measure(f"p_unknown above {NAMED}, nothing outside", _unknown(False), mean),
+    Measure(f"names that are right, p_unknown above {SURE}", _beside(_right, True), mean),
+    Measure("as many as their probabilities state", _beside(_stated, True), mean),
+    Measure(f"names that are right, p_unknown up to {SURE}", _beside(_right, False), mean),
+    Measure("as many as their probabilities state", _beside(_stated, False), mean),
     Measure("seconds a diagnosis, median", lambda one: listed(one.seconds), median, "45", "15"),
 )  # fmt: skip
 
@@ -109,15 +129,26 @@ def compared(columns: Mapping[str, Sequence[Scored]]) -> pd.DataFrame:
 
 
 def wrong_names(columns: Mapping[str, Sequence[Scored]]) -> pd.DataFrame:
-    """Which effects are named that are not there, and in how many cases by whom."""
-    counts = pd.DataFrame(
-        {
-            name: pd.Series([wrong for one in cases for wrong in one.wrong], dtype=object).value_counts()
-            for name, cases in columns.items()
-        }
+    """Of each effect how many of its names are wrong, by whom, and how many their probabilities lead to expect."""
+    named = pd.DataFrame(
+        [
+            (by, effect, effect in one.wrong, 1.0 - p)
+            for by, cases in columns.items()
+            for one in cases
+            for effect, p in one.names.items()
+        ],
+        columns=["by", "effect", "wrong", "doubt"],
     )
-    found = counts.fillna(0).astype(int).rename_axis("effect").reset_index()
-    return found.sort_values([*columns, "effect"], ascending=[False] * len(columns) + [True])
+    counts = named.groupby(["effect", "by"]).agg(
+        wrong=("wrong", "sum"), named=("wrong", "size"), doubt=("doubt", "sum")
+    )
+    counts = counts[counts["wrong"] > 0].reset_index()
+    counts["said"] = [f"{c.wrong} of {c.named}; {c.doubt:.1f} expected" for c in counts.itertuples()]
+    order = (
+        counts.groupby("effect")["wrong"].sum().reset_index().sort_values(["wrong", "effect"], ascending=[False, True])
+    )
+    cells = counts.pivot(index="effect", columns="by", values="said").reindex(order["effect"]).fillna("")
+    return cells.reindex(columns=list(columns), fill_value="").rename_axis(columns=None).reset_index()
 
 
 def missed(columns: Mapping[str, Sequence[Scored]]) -> pd.DataFrame:
