@@ -26,6 +26,7 @@ EASED = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0)  # times the sensors' noise under which
 EASED_STEPS = 4  # of Gauss-Newton under each of them
 ANEW = 2  # of those noises after which derivatives are simulated anew rather than follow from steps
 STEPS, NOISE_ROUNDS, NOISE_STEPS = 16, 2, 8  # of Gauss-Newton, of fit and noise, and of Gauss-Newton within those
+LAST_STEPS = 6  # of Gauss-Newton, before a model is made linear
 STIFFER = 1.4  # times the fitted stiffness, for which steps of the integrator are short enough
 FARTHEST = 20.0  # logarithm of a ratio at most, against overflow
 STABLE = 2.0  # step times rate at most
@@ -36,7 +37,7 @@ class Expansion:
     """What is free in the expanded model: `base`, then `sizes` along which effects leave their nulls, then `shapes`.
 
     `typical` are the sizes' typical distances from null, `rates` how often cars have them, both in the sizes' order; of
-    what comes and goes, how often in its span.
+    what comes and goes, how often in its span. `asleep` names the sizes that change next to nothing near their nulls.
     """
 
     base: tuple[Parameter, ...]
@@ -44,6 +45,7 @@ class Expansion:
     shapes: tuple[Parameter, ...]
     typical: Float[np.ndarray, " sizes"]
     rates: Float[np.ndarray, " sizes"]
+    asleep: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -55,7 +57,8 @@ class Expansion:
         shapes = [*dict.fromkeys(p for d in acting for p in d.held if p not in sizes)]
         share = {d.parameter: d.share for d in acting}
         typical, rates = ([prior.size_of(p) for p in sizes], [prior.rate_of(p) * share[p] for p in sizes])
-        return cls(space.parameters, tuple(sizes), tuple(shapes), np.array(typical), np.array(rates))
+        asleep = dict.fromkeys(d.parameter.name for d in acting if d.asleep and not d.clocked)
+        return cls(space.parameters, tuple(sizes), tuple(shapes), np.array(typical), np.array(rates), tuple(asleep))
 
     @property
     def space(self) -> ParameterSpace:
@@ -71,17 +74,6 @@ class Expansion:
     def unit(self) -> Float[np.ndarray, " d"]:
         """What a coefficient of 1 is near `rest`: a standard deviation of the box, of sizes their typical distance."""
         return np.concatenate([_spread(self.base), self.typical, _spread(self.shapes)])
-
-    @property
-    def expected(self) -> Float[np.ndarray, " d"]:
-        """Like `rest`, with sizes that only grow or only fall about as far from their nulls as is expected of a car."""
-        away = np.concatenate([np.zeros(len(self.base)), self.sign * self.rates * self.typical])
-        return self.rest + np.concatenate([away, np.zeros(len(self.shapes))])
-
-    @property
-    def sign(self) -> np.ndarray:
-        """1 for a size that its box lets only grow from the null, -1 for one that may only fall, else 0."""
-        return np.array([(null(p) <= p.low) * 1 - (null(p) >= p.high) * 1 for p in self.sizes], dtype=np.int64)
 
     @property
     def ratio(self) -> Bool[np.ndarray, " d"]:
@@ -166,13 +158,25 @@ class Expansion:
     ) -> Fit | None:
         """The likeliest point under shrinkage near a start that is close to it; None where the simulation fails.
 
-        Derivatives follow from steps, and are simulated at both ends.
+        Derivatives follow from steps, and are simulated at both ends and after each of the last steps.
         """
         fit = self._descended(observation, start, rms, STEPS)
         if fit is None:
             return None
         fit = with_own_noise(fit, NOISE_ROUNDS, NOISE_STEPS, secant=True)
+        fit = onwards(relinearised(fit, fit.theta), LAST_STEPS)
         return relinearised(fit, fit.theta)
+
+    def eased(
+        self,
+        observation: Observation,
+        start: Float[np.ndarray, " d"],
+        rms: Float[np.ndarray, " sizes"],
+        factor: float,
+    ) -> Fit | None:
+        """The same under white noise that is so many times the sensors'."""
+        fit = self._descended(under_white(observation, factor), start, rms, LAST_STEPS)
+        return None if fit is None else relinearised(fit, fit.theta)
 
     def likeliest(
         self,
@@ -212,10 +216,9 @@ class Expansion:
 
         What parameters do is the same under any noise, so derivatives are kept from one to the next.
         """
-        fit, noise = None, observation.simulator.noise.of_sensor
+        fit = None
         for k, factor in enumerate(way):
-            white = replace(noise, floor=factor * noise.floor, rho=np.zeros_like(noise.rho))
-            under = observation.extended(observation.simulator.with_noise(white))
+            under = under_white(observation, factor)
             if fit is not None and k % ANEW:
                 fit = onwards(replace(fit, observation=under), steps, secant=True, renewed=False)
             else:
@@ -231,6 +234,13 @@ class Expansion:
         space, pull = observation.simulator.space, Shrinkage(self.rest, self.precision(rms))
         start = np.clip(start, space.low, space.high)
         return descend(observation, start, steps, pull, secant=True, renewed=False)
+
+
+def under_white(observation: Observation, factor: float) -> Observation:
+    """Under white noise that is so many times the sensors'."""
+    noise = observation.simulator.noise.of_sensor
+    white = replace(noise, floor=factor * noise.floor, rho=np.zeros_like(noise.rho))
+    return observation.extended(observation.simulator.with_noise(white))
 
 
 def _log_posterior(fit: Fit) -> float:

@@ -1,9 +1,10 @@
-"""Derivatives of effects over all of the way back to their nulls, where it is asked whether they are missing.
+"""Derivatives of effects over all of the way to or from their nulls, where it is asked whether they are missing.
 
 An effect may change far less on that way than its slope at the fit says: a friction of half the stated one is steep
-where tyres slide, and flat before. Base parameters take over what they can of it meanwhile, as they do where the effect
-is not missing. Stiffnesses take over a level of all of them exactly. Alone on its way back, the level would leave what
-is of second order in it, and be named for that.
+where tyres slide, and flat before. All other parameters take over what they can of it meanwhile, as they do where the
+effect is not missing: base parameters, and effects that are hardly told from it. Alone on its way back, it would leave
+what is of second order in it, and be named for that. One that sleeps near its null has no slope there; its derivative
+is over the way to the middle of its box.
 """
 
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from vehicle_sbi.inference.directions import middle
 from vehicle_sbi.inference.information import PLAIN
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
@@ -29,10 +31,11 @@ def to_nulls(expansion: Expansion, fits: Sequence[Fit]) -> list[Fit]:
     Where a step is plain to see beside the base parameters, the effect is there in any case, and its slope at the fit
     says how large it is.
     """
-    own, c = len(expansion.base), expansion.coefficients(fits[0].theta)
+    fits, own = [_woken(expansion, one) for one in fits], len(expansion.base)
+    c = expansion.coefficients(fits[0].theta)
     away = own + np.flatnonzero(np.abs(c[own : own + len(expansion.sizes)]) > LEAST)
     if not len(away):
-        return [*fits]
+        return fits
     nulls = _nulls(expansion, fits, away)
     steps = [_steps(one, np.where(nulls == fits[0].theta, one.theta, nulls)) for one in fits]
     left = np.sum([_left(one, own, step) for one, step in zip(fits, steps, strict=True)], axis=0)
@@ -44,15 +47,32 @@ def to_nulls(expansion: Expansion, fits: Sequence[Fit]) -> list[Fit]:
     ]
 
 
+def _woken(expansion: Expansion, fit: Fit) -> Fit:
+    """The fit with derivatives by sizes that sleep, and are at their nulls, over the way to the middle of their boxes,
+    where that can be simulated."""
+    own, c = len(expansion.base), expansion.coefficients(fit.theta)
+    asleep = [k for k, p in enumerate(expansion.sizes, start=own) if p.name in expansion.asleep and abs(c[k]) <= LEAST]
+    if not asleep:
+        return fit
+    awake = np.repeat(fit.theta[None], len(asleep), axis=0)
+    for row, k in enumerate(asleep):
+        awake[row, k] = middle(expansion.sizes[k - own])
+    steps = _steps(fit, awake)
+    good = np.isfinite(steps).all(axis=(1, 2))
+    moved = c - expansion.coefficients(awake[good])
+    return _with_derivatives(expansion, fit, np.array(asleep)[good], moved, steps[good])
+
+
 def _nulls(expansion: Expansion, fits: Sequence[Fit], away: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k d"]:
-    """Points with one size each at its null, and base parameters where they make up for it at first order."""
-    own, c, space = len(expansion.base), expansion.coefficients(fits[0].theta), fits[0].simulator.space
-    white = np.concatenate([one.white for one in fits], axis=1) * per_coefficient(expansion, fits[0])[:, None]
-    taken = np.linalg.solve(white[:own] @ white[:own].T + np.eye(own), white[:own] @ white[away].T)
-    points = np.repeat(c[None], len(away), axis=0)
-    points[:, :own] += (taken * c[away]).T
-    theta = np.repeat(fits[0].theta[None], len(away), axis=0)
-    theta[:, :own] = np.clip(expansion.theta(points), space.low, space.high)[:, :own]
+    """Points with one size each at its null, and all others where they make up for it at first order, held as the fit
+    holds them."""
+    fit, c = fits[0], expansion.coefficients(fits[0].theta)
+    unit, space = per_coefficient(expansion, fit), fit.simulator.space
+    white = np.concatenate([one.white for one in fits], axis=1) * unit[:, None]
+    held = unit**2 if fit.shrinkage is None else unit**2 * fit.shrinkage.precision
+    covariance = np.linalg.inv(white @ white.T + np.diag(held))
+    with_it = covariance[away] / covariance[away, away][:, None]
+    theta = np.clip(expansion.theta(c - with_it * c[away, None]), space.low, space.high)
     theta[np.arange(len(away)), away] = expansion.rest[away]
     return theta
 
@@ -75,8 +95,8 @@ def _with_derivatives(
 ) -> Fit:
     """The fit with derivatives by sizes such that the linear model is exact at both ends of steps, along which
     coefficients move as said."""
-    unit, own, J = per_coefficient(expansion, fit), len(expansion.base), fit.at.J.copy()
-    base = np.tensordot(moved[:, :own] * unit[:own], fit.at.J[:own], axes=1)
-    size = moved[np.arange(len(sizes)), sizes] * unit[sizes]
-    J[sizes] = (steps - base) / size[:, None, None]
+    J, moves, step = fit.at.J.copy(), moved * per_coefficient(expansion, fit), np.arange(len(sizes))
+    size = moves[step, sizes]
+    moves[step, sizes] = 0.0
+    J[sizes] = (steps - np.tensordot(moves, fit.at.J, axes=1)) / size[:, None, None]
     return replace(fit, at=replace(fit.at, J=J))

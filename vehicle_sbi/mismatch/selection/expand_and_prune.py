@@ -1,9 +1,14 @@
 """Expand and prune: which effects are missing and what the base parameters are, whatever else is missing.
 
-The model with every effect in is fitted under shrinkage, and made linear there; which of its columns are needed, and
-how large they are, is sampled (`inclusion`). What was found says where to fit again, and how strongly to shrink: an
-effect that is out is held to its null, the discrepancy that was found is taken off what was recorded. Draws of the
-last rounds are pooled, since none of their linear models is the right one.
+The model with every effect in is made linear about a fit; which of its columns are needed, and how large they are, is
+sampled (`inclusion`). What was found says where to fit again, and how strongly to shrink: an effect that is out is held
+to its null, the discrepancy that was found is taken off what was recorded. Draws of the last rounds are pooled, since
+none of their linear models is the right one.
+
+The first rounds are annealed (Kirkpatrick et al. 1983): noise is many times the sensors', and falls to theirs. So an
+effect comes in once what is larger has been fitted, and each linear model is one about a fit with few effects, as the
+truth is. One about a fit with all of them in, each a little, is wrong by tens of units of log likelihood about any such
+fit, and what it prunes to then depends on that.
 """
 
 import itertools
@@ -13,11 +18,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from vehicle_sbi.inference.directions import Direction, middle
+from vehicle_sbi.inference.directions import Direction
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.information import TOLD
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere, under_own_noise
-from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
+from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion, under_white
 from vehicle_sbi.mismatch.estimation.fit import SHARES, Fit, Shrinkage
 from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     LinearGaussian,
@@ -41,9 +46,11 @@ LEAST_RMS = 0.02  # typical sizes, within which an effect that is out is held
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Rounds of fit and sampling, from which of the last ones draws are pooled, and the chains of those and of the ones
-    before, which only say where to fit again."""
+    """Rounds of fit and sampling: those under white noise that is so many times the sensors', and how many under the
+    noise that the fit leaves over; from which of the last ones draws are pooled, and the chains of those and of the
+    ones before, which only say where to fit again."""
 
+    annealed: tuple[float, ...] = (16.0, 8.0, 4.0, 2.0)
     rounds: int = 3
     pooled: int = 2
     first: Chain = field(default_factory=lambda: Chain(chains=2, sweeps=120, forgotten=40, every=2))
@@ -66,17 +73,10 @@ class _Round:
     @classmethod
     def first(cls, base: Fit, expansion: Expansion) -> "_Round":
         start = np.concatenate([base.theta, expansion.rest[len(base.theta) :]])
-        return cls(expansion, start, np.full(len(expansion.sizes), WIDER), expansion.observed(base))
+        return cls(expansion, start, np.full(len(expansion.sizes), LEAST_RMS), expansion.observed(base))
 
-    def first_fit(self, sleeping: Sequence[Parameter]) -> Fit | None:
-        """From effects at their nulls, beside the base model's parameters as they were fitted and, as these have
-        absorbed what is missing, beside the middle of their boxes; from effects as large as is expected of a car; and
-        with those that change nothing near their nulls halfway into their boxes."""
-        far = [self.start, self.expansion.rest, self.expansion.expected]
-        if awake := {p.name: middle(p) for p in sleeping}:
-            names = self.expansion.space.names
-            far.append(np.array([awake.get(name, x) for name, x in zip(names, self.start, strict=True)]))
-        return self.expansion.likeliest(self.observation, self.rms, far=far)
+    def eased(self, factor: float) -> Fit | None:
+        return self.expansion.eased(self.observation, self.start, self.rms, factor)
 
     def fitted(self) -> Fit | None:
         return self.expansion.fitted(self.observation, self.start, self.rms)
@@ -101,24 +101,40 @@ def expand_and_prune(
 
     None where the expanded model cannot be simulated.
     """
-    now = _Round.first(base, Expansion.of(base.simulator.space, known, prior))
-    fit = now.first_fit([d.parameter for d in known if d.asleep and not d.clocked])
-    if fit is None:
+    expansion, told = Expansion.of(base.simulator.space, known, prior), list[_Told]()
+    now = _annealed(_Round.first(base, expansion), prior, rng, budget)
+    fit = None if now is None else now.fitted()
+    if now is None or fit is None:
         return None
-    asked, told = _Asked.about(fit, base.observation.observed, naming, prior, rng), list[_Told]()
+    asked = _Asked.about(fit, base.observation.observed, naming, prior, rng)
     for k in range(budget.rounds):
         last = k >= budget.rounds - budget.pooled
         one = asked.told(now, fit, budget.last if last else budget.first)
         told += [one] if last else []
         if k + 1 == budget.rounds:
             break
-        now = one.again()
+        now = one.again(one.without_discrepancy)
         if k == 0:
             now = now.widened(Expansion.of(base.simulator.space, known, prior, likeliest_spans(one.fit, known)))
         fit = now.fitted()
         if fit is None:
             break
     return pooled([one.pruned for one in told]) if told else None
+
+
+def _annealed(now: _Round, prior: EffectPrior, rng: np.random.Generator, budget: Budget) -> _Round | None:
+    """Where the first round under the fit's own noise begins; None where the model cannot be simulated.
+
+    What is found of discrepancies stays in what was recorded: under much noise they take what effects will.
+    """
+    recorded, asked = now.observation, None
+    for factor in budget.annealed:
+        fit = now.eased(factor)
+        if fit is None:
+            return None
+        asked = asked or _Asked.about(fit, recorded.observed, None, prior, rng)
+        now = asked.told(now, fit, budget.first).again(recorded)
+    return replace(now, observation=under_white(recorded, 1.0))
 
 
 @dataclass(frozen=True)
@@ -149,17 +165,23 @@ class _Told:
         within = folded(theta, space.low, space.high)
         return Pruned(expansion, within, included, unexplained, beyond, shows, self.fit, left)
 
-    def again(self) -> _Round:
-        """Where to fit next, how strongly to shrink, and what was recorded less the discrepancy that was found."""
-        expansion, fit, x = self.now.expansion, self.fit, self.drawn.coefficient
-        first = len(expansion.unit)
-        rms = np.maximum(np.sqrt(np.mean(x[:, first - len(expansion.sizes) : first] ** 2, axis=0)), LEAST_RMS)
-        mean, series = x.mean(axis=0, keepdims=True), np.zeros_like(fit.at.y)
+    @property
+    def without_discrepancy(self) -> Observation:
+        """What was recorded less the discrepancy that was found, under the fit's noise."""
+        fit, first = self.fit, len(self.now.expansion.unit)
+        mean, series = self.drawn.coefficient.mean(axis=0, keepdims=True), np.zeros_like(fit.at.y)
         for one, (c,) in zip(self.off, parts(mean[:, first:], self.off), strict=True):
             series += np.tensordot(c, one.series, axes=1)
         observed = np.where(fit.simulator.windows.valid, fit.observation.observed - series, 0.0)
-        observation, space = replace(fit.observation, observed=observed), expansion.space
+        return replace(fit.observation, observed=observed)
+
+    def again(self, observation: Observation) -> _Round:
+        """Where to fit this next, and how strongly to shrink."""
+        expansion, fit, x = self.now.expansion, self.fit, self.drawn.coefficient
+        first = len(expansion.unit)
+        rms = np.maximum(np.sqrt(np.mean(x[:, first - len(expansion.sizes) : first] ** 2, axis=0)), LEAST_RMS)
         shrunk = replace(fit, observation=observation, shrinkage=Shrinkage(expansion.rest, expansion.precision(rms)))
+        mean, space = x.mean(axis=0, keepdims=True), expansion.space
         start = _likeliest_before(shrunk, np.clip(_theta(expansion, mean)[0], space.low, space.high))
         return _Round(expansion, start, rms, observation)
 
