@@ -7,11 +7,11 @@ import pytest
 from recorded import TRUTH, fitted, lateral, recorded
 from test_effect_prior import stated
 
-from vehicle_sbi.inference.directions import directions, left_out, middle, null
+from vehicle_sbi.inference.directions import directions, left_out, null
 from vehicle_sbi.inference.information import PLAIN, SEEN
 from vehicle_sbi.mismatch.estimation.elsewhere import elsewhere
 from vehicle_sbi.mismatch.estimation.expansion import WIDER, Expansion
-from vehicle_sbi.mismatch.estimation.fit import STEP, Fit, linearise
+from vehicle_sbi.mismatch.estimation.fit import STEP, Fit, Shrinkage, linearise
 from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     LinearGaussian,
     beyond_base,
@@ -20,7 +20,7 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     per_coefficient,
     showing,
 )
-from vehicle_sbi.mismatch.estimation.to_nulls import to_nulls
+from vehicle_sbi.mismatch.estimation.to_nulls import _nulls, to_nulls
 from vehicle_sbi.mismatch.hypotheses.discrepancy import Discrepancy, responses
 from vehicle_sbi.mismatch.problem.observation import Observation
 from vehicle_sbi.mismatch.selection import expand_and_prune as pruning
@@ -106,54 +106,45 @@ def test_of_an_effect_that_is_not_plain_the_linear_model_is_exact_where_all_othe
     expanded: tuple[Expansion, Fit],
 ) -> None:
     expansion, fit = expanded
-    assert fit.shrinkage is not None
     own, valid, unit = len(expansion.base), fit.simulator.windows.valid, per_coefficient(expansion, fit)
-    (steady,), c, space = to_nulls(expansion, [fit]), expansion.coefficients(fit.theta), fit.simulator.space
-    columns = np.concatenate([(fit.white * unit[:, None]).T, np.diag(unit * np.sqrt(fit.shrinkage.precision))])
-    absorbing, taken, steep = np.linalg.qr((fit.white[:own] * unit[:own, None]).T)[0], 0, 0
-    for k, p in enumerate(expansion.sizes, start=own):
-        others = np.arange(len(c)) != k
-        makes_up = np.linalg.lstsq(columns[:, others], columns[:, k] * c[k], rcond=None)[0]
-        to = c.copy()
-        to[others] += makes_up
-        back = np.clip(expansion.theta(to), space.low, space.high)
-        back[k] = null(p)
+    (steady,), c = to_nulls(expansion, [fit]), expansion.coefficients(fit.theta)
+    absorbing, taken = np.linalg.qr((fit.white[:own] * unit[:own, None]).T)[0], 0
+    for k in range(own, own + len(expansion.sizes)):
+        (back,) = _nulls(expansion, [fit], np.array([k]))
         simulated = fit.simulator.noise_free(back[None])[0]
         white = fit.metric(np.where(valid, simulated - fit.at.y, 0.0)).reshape(-1)
         if abs(c[k]) <= 0.1 or not np.linalg.norm(white - absorbing @ (absorbing.T @ white)) < PLAIN:
-            if p.name not in expansion.asleep:
-                np.testing.assert_array_equal(steady.at.J[k], fit.at.J[k])
-                steep += abs(c[k]) > 0.1
+            np.testing.assert_array_equal(steady.at.J[k], fit.at.J[k])
             continue
-        step = (expansion.coefficients(back) - c) * unit
         J = fit.at.J.copy()
         J[k] = steady.at.J[k]
-        along = np.tensordot(step, J, axes=1)
-        np.testing.assert_allclose((fit.at.y + along)[valid], simulated[valid], atol=1e-8)
+        along = np.tensordot((expansion.coefficients(back) - c) * unit, J, axes=1)
+        np.testing.assert_allclose((fit.at.y + along)[valid], simulated[valid], atol=1e-9)
         taken += 1
     assert taken >= 2
-    assert steep >= 1
     others = [k for k in range(len(fit.theta)) if not own <= k < own + len(expansion.sizes)]
     np.testing.assert_array_equal(steady.at.J[others], fit.at.J[others])
 
 
-def test_a_size_that_sleeps_near_its_null_has_a_derivative_over_the_way_to_the_middle_of_its_box() -> None:
-    # Tyres of the stated friction hardly bend in this drive: by its slope it would never come in.
-    base = fitted(recorded(lateral(seconds=12.0)))
-    known = directions(base.simulator, base.theta, CATALOGUE["friction_level"])
-    expansion = Expansion.of(base.simulator.space, known, stated())
-    assert expansion.asleep == tuple(p.name for p in expansion.sizes)
-    theta = np.concatenate([base.theta, expansion.rest[len(base.theta) :]])
-    observation = base.observation.freeing(expansion.space.parameters)
-    fit = Fit(observation, theta, linearise(observation.simulator, theta))
-    (woken,), unit = to_nulls(expansion, [fit]), per_coefficient(expansion, fit)
-    for k, p in enumerate(expansion.sizes, start=len(base.theta)):
-        half = theta.copy()
-        half[k] = middle(p)
-        step = unit[k] * (expansion.coefficients(half) - expansion.coefficients(theta))[k]
-        valid = fit.simulator.windows.valid
-        changed = (fit.simulator.noise_free(half[None])[0] - fit.at.y)[valid]
-        np.testing.assert_allclose((step * woken.at.J[k])[valid], changed, atol=1e-9)
+def test_all_others_make_up_for_an_effect_at_its_null_as_well_as_they_can(
+    base: Fit, expanded: tuple[Expansion, Fit]
+) -> None:
+    # Of the points with one size at its null theirs is the least of the quadratic model: it does not fall along others.
+    three = expanded[0].only({"gyro_bias.z", "accelerometer_bias.y", "body_roll.gradient"})
+    observation = base.observation.freeing(three.space.parameters)
+    theta = np.concatenate([base.theta, three.rest[len(base.theta) :]])
+    sizes = slice(len(base.theta), len(base.theta) + len(three.sizes))
+    theta[sizes] += 0.3 * three.typical
+    shrinkage = Shrinkage(three.rest, three.precision(np.full(len(three.sizes), WIDER)))
+    fit = Fit(observation, theta, linearise(observation.simulator, theta), shrinkage)
+    unit, c = per_coefficient(three, fit), three.coefficients(theta)
+    white, held = fit.white * unit[:, None], shrinkage.precision * unit**2
+    for k, p in enumerate(three.sizes, start=len(three.base)):
+        (back,) = _nulls(three, [fit], np.array([k]))
+        assert back[k] == null(p)
+        moved = three.coefficients(back) - c
+        slope = white @ (moved @ white) + held * moved
+        assert np.abs(np.delete(slope, k)).max() < 1e-6 * abs(slope[k])
 
 
 def test_a_level_of_stiffnesses_leaves_nothing_on_its_way_back_where_they_are_free(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vehicle_sbi.inference.directions import Direction, null
+from vehicle_sbi.inference.directions import Direction, middle, null
 from vehicle_sbi.inference.effect_prior import EffectPrior
 from vehicle_sbi.inference.setup import slowest, steps_at
 from vehicle_sbi.mismatch.estimation.fit import Fit, Shrinkage, descend, onwards, relinearised, with_own_noise
@@ -174,9 +174,24 @@ class Expansion:
         rms: Float[np.ndarray, " sizes"],
         factor: float,
     ) -> Fit | None:
-        """The same under white noise that is so many times the sensors'."""
-        fit = self._descended(under_white(observation, factor), start, rms, LAST_STEPS)
-        return None if fit is None else relinearised(fit, fit.theta)
+        """The same under white noise that is so many times the sensors', where what sleeps may be anywhere; from
+        there as well with that halfway into its boxes."""
+        under, rms = under_white(observation, factor), np.where(self._sleeping, WIDER, rms)
+        starts = [start, self._awake(start)] if self.asleep else [start]
+        led = each(lambda one: self._descended(under, one, rms, LAST_STEPS), starts)
+        best = max((fit for fit in led if fit is not None), key=_log_posterior, default=None)
+        return None if best is None else relinearised(best, best.theta)
+
+    @property
+    def _sleeping(self) -> Bool[np.ndarray, " sizes"]:
+        """Which sizes change next to nothing near their nulls."""
+        return np.array([p.name in self.asleep for p in self.sizes], dtype=bool)
+
+    def _awake(self, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+        """With sizes that sleep halfway into their boxes."""
+        awake, sizes = theta.copy(), np.flatnonzero(self._sleeping)
+        awake[len(self.base) + sizes] = [middle(self.sizes[k]) for k in sizes]
+        return awake
 
     def likeliest(
         self,

@@ -1,10 +1,9 @@
-"""Derivatives of effects over all of the way to or from their nulls, where it is asked whether they are missing.
+"""Derivatives of effects over all of the way back to their nulls, where it is asked whether they are missing.
 
 An effect may change far less on that way than its slope at the fit says: a friction of half the stated one is steep
 where tyres slide, and flat before. All other parameters take over what they can of it meanwhile, as they do where the
 effect is not missing: base parameters, and effects that are hardly told from it. Alone on its way back, it would leave
-what is of second order in it, and be named for that. One that sleeps near its null has no slope there; its derivative
-is over the way to the middle of its box.
+what is of second order in it, and be named for that.
 """
 
 from collections.abc import Sequence
@@ -13,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from vehicle_sbi.inference.directions import middle
 from vehicle_sbi.inference.information import PLAIN
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.fit import Fit
@@ -31,13 +29,12 @@ def to_nulls(expansion: Expansion, fits: Sequence[Fit]) -> list[Fit]:
     Where a step is plain to see beside the base parameters, the effect is there in any case, and its slope at the fit
     says how large it is.
     """
-    fits, own = [_woken(expansion, one) for one in fits], len(expansion.base)
-    c = expansion.coefficients(fits[0].theta)
+    own, c = len(expansion.base), expansion.coefficients(fits[0].theta)
     away = own + np.flatnonzero(np.abs(c[own : own + len(expansion.sizes)]) > LEAST)
     if not len(away):
-        return fits
+        return [*fits]
     nulls = _nulls(expansion, fits, away)
-    steps = [_steps(one, np.where(nulls == fits[0].theta, one.theta, nulls)) for one in fits]
+    steps = [_steps(one, np.where(one.theta == fits[0].theta, nulls, one.theta)) for one in fits]
     left = np.sum([_left(one, own, step) for one, step in zip(fits, steps, strict=True)], axis=0)
     hidden = left < PLAIN**2
     moved = (c - expansion.coefficients(nulls))[hidden]
@@ -45,22 +42,6 @@ def to_nulls(expansion: Expansion, fits: Sequence[Fit]) -> list[Fit]:
         _with_derivatives(expansion, one, away[hidden], moved, step[hidden])
         for one, step in zip(fits, steps, strict=True)
     ]
-
-
-def _woken(expansion: Expansion, fit: Fit) -> Fit:
-    """The fit with derivatives by sizes that sleep, and are at their nulls, over the way to the middle of their boxes,
-    where that can be simulated."""
-    own, c = len(expansion.base), expansion.coefficients(fit.theta)
-    asleep = [k for k, p in enumerate(expansion.sizes, start=own) if p.name in expansion.asleep and abs(c[k]) <= LEAST]
-    if not asleep:
-        return fit
-    awake = np.repeat(fit.theta[None], len(asleep), axis=0)
-    for row, k in enumerate(asleep):
-        awake[row, k] = middle(expansion.sizes[k - own])
-    steps = _steps(fit, awake)
-    good = np.isfinite(steps).all(axis=(1, 2))
-    moved = c - expansion.coefficients(awake[good])
-    return _with_derivatives(expansion, fit, np.array(asleep)[good], moved, steps[good])
 
 
 def _nulls(expansion: Expansion, fits: Sequence[Fit], away: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k d"]:
