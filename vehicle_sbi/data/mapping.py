@@ -134,8 +134,7 @@ def sources(
         raise unknown("channel", strange[0], CHANNELS, f"{where}: mapping")
     found = {}
     for name, given in mapping.items():
-        listed = [given] if isinstance(given, ChannelSource | Mapping) else list(given)
-        candidates = [built(ChannelSource, one, f"{where}: channel {name}") for one in listed]
+        candidates = candidates_of(given, f"{where}: channel {name}")
         chosen = next(((table, one) for one in candidates if (table := _table_of(tables, one, name))), None)
         if chosen is not None:
             found[name] = chosen
@@ -146,6 +145,12 @@ def sources(
         wanted = ", ".join(name for name in mapping)
         raise InputError(f"{where}: has none of the columns of its mapping, which are all optional: {wanted}")
     return found
+
+
+def candidates_of(given: Candidates, where: str) -> list[ChannelSource]:
+    """What a mapping says of one channel, the first candidate first."""
+    listed = [given] if isinstance(given, ChannelSource | Mapping) else [*given]
+    return [built(ChannelSource, one, where) for one in listed]
 
 
 def native(tables: Sequence[Table], where: str) -> dict[str, tuple[Table, ChannelSource]]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from vehicle_sbi.data.inspection.contents import Contents
-from vehicle_sbi.data.mapping import Candidates, ChannelSource, built, mapping_file
+from vehicle_sbi.data.mapping import Candidates, candidates_of, mapping_file
 
 
 def fitting(tables: Sequence[Contents], folder: Path) -> list[str]:
@@ -16,8 +16,7 @@ def fitting(tables: Sequence[Contents], folder: Path) -> list[str]:
 
 def _names(mapping: Mapping[str, Candidates], columns: set[str]) -> bool:
     """Whether a mapping's channels, but for optional ones, are among these columns, and at least one is."""
-    listed = [[one] if isinstance(one, ChannelSource | Mapping) else [*one] for one in mapping.values()]
-    channels = [[built(ChannelSource, one, "mapping") for one in candidates] for candidates in listed]
+    channels = [candidates_of(given, "mapping") for given in mapping.values()]
     there = [any(columns.issuperset(one.columns) for one in candidates) for candidates in channels]
     needed = [not all(one.optional for one in candidates) for candidates in channels]
     return any(there) and all(found or not need for found, need in zip(there, needed, strict=True))
