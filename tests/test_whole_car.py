@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from concealed.actuators_and_sensors import sensed
 from concealed.multibody_car import STEER, V_X, V_Y, YAW_RATE, parameters
 from concealed.outside import OUTSIDE
 from concealed.twin import CAR, ROLL_GRADIENT, magic
@@ -72,6 +73,19 @@ def test_what_a_world_has_by_itself_is_what_it_does_with_nothing_put_into_it() -
     assert "body_roll" in INHERENT["twin, IMU on the body"]
     assert "body_roll" not in INHERENT["twin"]
     assert "accelerometer_scale" in standing({"effects": {}, "inherent": ["body_roll"]})
+
+
+def test_an_imu_above_a_body_that_leans_is_taken_along() -> None:
+    # A roll of A sin(w t) takes what is z above outwards and back: a_y is larger by z w^2 A sin(w t), gravity the same.
+    t = np.linspace(0.0, 8.0, 4001)
+    w, A, z = 2.0 * np.pi * 0.5, 0.03, 0.5
+    names = ("a_x", "a_y", "yaw_rate", "r_dot", "g_x", "g_y", "v_x", "v_y", "wheel_speed_front", "wheel_speed_rear")
+    motion = dict.fromkeys(names, np.zeros_like(t)) | {"roll": A * np.sin(w * t), "pitch": np.zeros_like(t)}
+    low, high = (sensed(motion, t, {"imu_lever_arm": {"x": 0.0, "y": 0.0, "z": height}})["a_y"] for height in (0.0, z))
+    inner = slice(10, -10)  # derivatives at the ends are one-sided
+    swayed = z * w**2 * motion["roll"]
+    # Twice differenced, a sine of w is short by (w dt)^2 / 3, here 1e-5 of it.
+    np.testing.assert_allclose((high - low)[inner], swayed[inner], atol=2e-5 * z * w**2 * A)
 
 
 def test_a_car_that_is_the_tool_s_own_model_is_one_that_its_oracle_can_follow() -> None:
@@ -227,6 +241,18 @@ def test_a_calibrated_probability_has_no_error_and_a_sure_one_that_is_wrong_all(
     right = np.array([[0.25, 0.0], [0.25, 0.0], [0.25, 0.0], [0.25, 1.0], [1.0, 1.0]])
     assert page.calibration(right) == pytest.approx(0.0)
     assert page.calibration(np.array([[1.0, 0.0], [0.0, 1.0]])) == pytest.approx(1.0)
+
+
+def test_names_are_counted_beside_something_unknown_and_without_it_and_by_effect() -> None:
+    nothing: dict[str, Any] = {"world": "", "drive": "", "truth": (), "outside": "", "strong": {}, "alike": {}}
+    sure = Scored(case=0, names={"gust": 0.9, "payload": 0.7}, wrong=["gust"], p_unknown=0.95, **nothing)
+    unsure = Scored(case=1, names={"gust": 0.6}, wrong=[], p_unknown=0.1, **nothing)
+    rows = page.compared({"mine": [sure, unsure]})
+    first = rows.index[rows["measure"] == "names that are right, p_unknown above 0.9"][0]
+    values = [float(cell.split()[0]) for cell in rows["mine"][first : first + 4]]
+    assert values == pytest.approx([0.5, 0.8, 1.0, 0.6])
+    wrong = page.wrong_names({"mine": [sure, unsure], "other": [unsure]})
+    assert wrong.to_dict("records") == [{"effect": "gust", "mine": "1 of 2; 0.5 expected", "other": ""}]
 
 
 def test_an_estimate_without_an_interval_has_the_normal_one() -> None:
