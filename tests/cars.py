@@ -192,3 +192,10 @@ def finished(*args: object, **kwargs: object) -> np.ndarray:
     y, outcomes = simulate(*args, **kwargs)  # pyright: ignore[reportArgumentType]
     assert outcomes.tolist() == [FINISHED]
     return y[0]
+
+
+def derived(**fields: float) -> np.void:
+    """The record of the rigid car with effects, what follows from it filled in."""
+    p = record_of(RIGID, **fields)[0]
+    derive(p)
+    return p

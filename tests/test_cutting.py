@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from cars import derived
 from made_up import RATE, in_windows, recording
 
 from vehicle_sbi.data.cutting import REMEMBERED_S
 from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError
+from vehicle_sbi.physics.effects import steer
 from vehicle_sbi.physics.single_track import COMMANDS, INPUTS
 
 
@@ -63,6 +65,19 @@ def test_a_window_knows_commands_that_are_masked():
     whole, later = in_windows(rec, warmup_s=0.0), in_windows(rec.masked(rec.t >= 10.0, "later"), warmup_s=0.0)
     assert later.t[0, 0] == whole.t[2, 0]
     np.testing.assert_allclose(later.before, whole.before[2:], rtol=0.0, atol=1e-12)
+
+
+def test_a_play_in_a_window_stands_where_the_drive_before_it_left_it():
+    # Wheels that steer to one side and back, then lie still in the play for 8 s on both sides of a window's start.
+    t, width = np.arange(2000) / RATE, 0.01
+    steering = np.interp(t, [0.0, 2.0, 6.0, 7.0], [0.0, 0.0, 0.05, 0.03]) + 1e-3 * np.sin(t)
+    windows, whole = in_windows(recording(steering=steering), warmup_s=0.0, length_s=10.0), np.empty(len(t))
+    steer(derived(steering_dead_band_width=width), windows.u[..., 0].reshape(-1), RATE, whole)
+    assert abs(whole[1000] - steering[1000]) > 0.3 * width
+    for before, u, start in zip(windows.before, windows.u, (0, 1000), strict=True):
+        wheels = np.empty(len(u))
+        steer(derived(steering_dead_band_width=width), np.concatenate([before[:, 0], u[:, 0]]), RATE, wheels)
+        np.testing.assert_allclose(wheels, whole[start : start + 1000], rtol=0.0, atol=1e-12)
 
 
 def test_where_the_commands_before_a_window_are_absent_it_takes_the_next():

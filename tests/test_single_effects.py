@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from cars import PAPER, RATE, RIGID, V, coasting, exciting, finished, integrated, rate_of, record_of
+from cars import PAPER, RATE, RIGID, V, coasting, derived, exciting, finished, integrated, rate_of, record_of
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
@@ -29,13 +29,6 @@ G, RHO = 9.81, 1.225
 M, L, L_F, L_R, H, C_F, C_R, MU = 1093.3, 2.5789, 1.1562, 1.4227, 0.57487, 100e3, 120e3, 1.0489  # RIGID
 UNDERSTEER = M / L * (L_R / C_F - L_F / C_R)
 A_X, A_Y, YAW, OMEGA_F, OMEGA_R, V_X, V_Y = range(7)  # of the rows of MEASUREMENTS
-
-
-def derived(**fields: float) -> np.void:
-    """The record of the rigid car with effects, what follows from it filled in."""
-    p = record_of(RIGID, **fields)[0]
-    derive(p)
-    return p
 
 
 def rolling(*, wheels: float = V / 0.344) -> np.ndarray:
