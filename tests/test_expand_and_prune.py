@@ -132,9 +132,8 @@ def test_all_others_make_up_for_an_effect_at_its_null_as_well_as_they_can(
     # Of the points with one size at its null theirs is the least of the quadratic model: it does not fall along others.
     three = expanded[0].only({"gyro_bias.z", "accelerometer_bias.y", "body_roll.gradient"})
     observation = base.observation.freeing(three.space.parameters)
-    theta = np.concatenate([base.theta, three.rest[len(base.theta) :]])
-    sizes = slice(len(base.theta), len(base.theta) + len(three.sizes))
-    theta[sizes] += 0.3 * three.typical
+    theta = three.rest.copy()  # in the middle of the boxes, so that no bound is in the way
+    theta[len(three.base) : len(three.base) + len(three.sizes)] += 0.2 * three.typical
     shrinkage = Shrinkage(three.rest, three.precision(np.full(len(three.sizes), WIDER)))
     fit = Fit(observation, theta, linearise(observation.simulator, theta), shrinkage)
     unit, c = per_coefficient(three, fit), three.coefficients(theta)
