@@ -22,8 +22,8 @@ YAW_RATE_UNKNOWN = 0.2
 """Standard deviation [rad/s] of an initial yaw rate that nothing in the recording tells."""
 
 REMEMBERED_S = 10.0
-"""What a window knows of the commands before it [s]. An actuator's lag of 1 s, the longest, has forgotten all of more. A
-play remembers until the steering has moved by its width again: in ten seconds of driving it mostly has."""
+"""What a window knows of the commands before it [s]. An actuator's lag of 1 s, the longest, has forgotten all of more.
+A play remembers until the steering has moved by its width again: in ten seconds of driving it mostly has."""
 
 STRETCHES = 3
 """Usable stretches that are named where none is long enough, at most."""
