@@ -135,6 +135,7 @@ class Expansion:
             shapes=shapes,
             typical=self.typical[kept],
             rates=self.rates[kept],
+            asleep=tuple(name for name in self.asleep if name in sizes),
         )
 
     def precision(self, rms: Float[np.ndarray, " sizes"]) -> Float[np.ndarray, " d"]:
@@ -176,10 +177,9 @@ class Expansion:
     ) -> Fit | None:
         """The same under white noise that is so many times the sensors', where what sleeps may be anywhere; from
         there as well with that halfway into its boxes."""
-        under, rms = under_white(observation, factor), np.where(self._sleeping, WIDER, rms)
+        held = np.where(self._sleeping, WIDER, rms)
         starts = [start, self._awake(start)] if self.asleep else [start]
-        led = each(lambda one: self._descended(under, one, rms, LAST_STEPS), starts)
-        best = max((fit for fit in led if fit is not None), key=_log_posterior, default=None)
+        best = _likeliest(each(lambda one: self._led(observation, held, one, (factor,), LAST_STEPS), starts))
         return None if best is None else relinearised(best, best.theta)
 
     @property
@@ -210,8 +210,7 @@ class Expansion:
         of units below its bottom.
         """
         ways = [*((start, (1.0,), FIRST_STEPS) for start in near), *((start, EASED, EASED_STEPS) for start in far)]
-        led = each(lambda way: self._led(observation, rms, *way), ways)
-        best = max((fit for fit in led if fit is not None), key=_log_posterior, default=None)
+        best = _likeliest(each(lambda way: self._led(observation, rms, *way), ways))
         if best is None:
             return None
         best = replace(onwards(best, STEPS, secant=True), observation=observation)
@@ -256,6 +255,11 @@ def under_white(observation: Observation, factor: float) -> Observation:
     noise = observation.simulator.noise.of_sensor
     white = replace(noise, floor=factor * noise.floor, rho=np.zeros_like(noise.rho))
     return observation.extended(observation.simulator.with_noise(white))
+
+
+def _likeliest(led: Sequence[Fit | None]) -> Fit | None:
+    """Under its shrinkage, of those that could be simulated; None if none could."""
+    return max((fit for fit in led if fit is not None), key=_log_posterior, default=None)
 
 
 def _log_posterior(fit: Fit) -> float:
