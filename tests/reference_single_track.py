@@ -157,10 +157,11 @@ def tyre(
     size = math.hypot(*demands)
     if size == 0.0 or grip == 0.0:
         return forces
-    z, full = size / grip, c["tyre_curve_fullness"]
+    z, full, early = size / grip, c["tyre_curve_fullness"], c["tyre_curve_early"]
     peaked, filled = math.sin(1.5 * math.atan(z / 1.5)) * grip / size, full_curve(z) * grip / size
+    bent = math.sin(math.atan(z)) * grip / size
     F_x, F_y = (
-        F + peak * (peaked * demand - F) + full * (filled * demand - F)
+        F + peak * (peaked * demand - F) + full * (filled * demand - F) + early * (bent * demand - F)
         for F, demand, peak in zip(forces, demands, peaks, strict=True)
     )
     return F_x, F_y
@@ -192,7 +193,8 @@ def pulled_tyre(
     if S > 0.0 and grip > 0.0:
         across, z = grip / S * D, S / grip
         peaked, full = math.sin(1.5 * math.atan(z / 1.5)) * across - F_y, full_curve(z) * across - F_y
-        F_y += c["tyre_curve_peak"] * peaked + c["tyre_curve_fullness"] * full
+        early = math.sin(math.atan(z)) * across - F_y
+        F_y += c["tyre_curve_peak"] * peaked + c["tyre_curve_fullness"] * full + c["tyre_curve_early"] * early
     return F_x, F_y
 
 

@@ -53,7 +53,7 @@ def test_a_turn_moves_a_share_of_the_static_load() -> None:
     assert axle((s / 5.0) ** 2, 0.0, z * F_Z / C, 5.0, load=load)[1] == pytest.approx(expected, rel=16 * EPS)
 
 
-@pytest.mark.parametrize("curve", [{}, {"tyre_curve_peak": 0.3, "tyre_curve_fullness": 0.7}])
+@pytest.mark.parametrize("curve", [{}, {"tyre_curve_peak": 0.3, "tyre_curve_fullness": 0.7, "tyre_curve_early": 0.4}])
 @pytest.mark.parametrize("kappa", [-0.05, -0.005, 0.01, 0.04])
 @pytest.mark.parametrize("tan_alpha", [0.02, -0.06, 0.1])
 def test_both_wheels_have_the_same_force_along_them(curve: dict[str, float], kappa: float, tan_alpha: float) -> None:

@@ -15,6 +15,7 @@ EVERYTHING = {
     "lateral_load_transfer_track": 1.5,
     "tyre_curve_peak": 0.5,
     "tyre_curve_longitudinal": 0.4,
+    "tyre_curve_early": 0.3,
     "load_sensitivity_coefficient": -0.1,
     "steering_compliance_coefficient": 2e-6,
 }

@@ -358,6 +358,13 @@ def test_a_full_tyre_curve_bends_by_no_third_power_and_lies_above_dugoff_s() -> 
         assert (1.0 - 0.25 / z) * 6000.0 < force <= 6000.0 * (1.0 + 8 * EPS)
 
 
+@pytest.mark.parametrize("z", [0.01, 0.5, 2.0, 50.0])
+def test_an_early_tyre_curve_is_a_hyperbola_that_nears_the_grip(z: float) -> None:
+    # sin(atan z) = z / sqrt(1 + z^2): F^2 (1 + 1/z^2) = (mu F_z)^2.
+    force = side_force(derived(tyre_curve_early=1.0), z * 6000.0 / 8e4)
+    assert math.hypot(force, force / z) == pytest.approx(6000.0, rel=8 * EPS)
+
+
 def test_stiffness_follows_load_and_turning() -> None:
     # Below the knee the force is stiffness times slip, to the rounding of a few products.
     stiff = side_force(derived(load_sensitivity_coefficient=0.8), 1e-3, F_z=9000.0, load=1.5)

@@ -14,7 +14,7 @@ import numpy as np
 
 from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.parameters import Parameter
-from vehicle_sbi.physics.magic_formula import peaked_and_full
+from vehicle_sbi.physics.magic_formula import bent_early, peaked_and_full
 from vehicle_sbi.physics.signals import SHORTEST, interpolate, lagged, pulse
 from vehicle_sbi.physics.tyre import dugoff, dugoff_share, dugoff_side
 from vehicle_sbi.physics.vehicle import AIR_DENSITY, CONSTANTS, GRAVITY, Vehicle
@@ -183,12 +183,12 @@ CATALOGUE: Mapping[str, Effect] = {
                 uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0), front=("1", -MOST_SHIFTED, MOST_SHIFTED, 0.0),
                 track=("m", 0.0, WIDEST, 0.0), period=("s", 0.0, 1.2, 0.0),
                 damping=("1", 0.1, 0.8, ROLL_DAMPING)),
-        _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late, instead of saturating",
-                "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(3/2, -17/8) - F_Dugoff), F_x with "
-                "longitudinal in place of peak alone, M(C, E) = mu F_z sin(C atan(w - E (w - atan w))), w = z/C, "
-                "z = |(C_kappa kappa, C_alpha tan(alpha))|/(mu F_z)",
+        _effect("tyre_curve", "tyre", "tyre forces peak and fall, or bend late or early, instead of saturating",
+                "F_y = F_Dugoff + peak (M(3/2, 0) - F_Dugoff) + fullness (M(3/2, -17/8) - F_Dugoff) + early (M(1, 0) - "
+                "F_Dugoff), F_x with longitudinal in place of peak alone, M(C, E) = mu F_z sin(C atan(w - E (w - atan "
+                "w))), w = z/C, z = |(C_kappa kappa, C_alpha tan(alpha))|/(mu F_z)",
                 f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0), longitudinal=("1", 0.0, 1.0, 0.0),
-                fullness=("1", 0.0, 1.0, 0.0)),
+                fullness=("1", 0.0, 1.0, 0.0), early=("1", 0.0, 1.0, 0.0)),
         _effect("relaxation", "tyre", "slips build up over a rolled length, beyond the file's C_alpha / K",
                 "sigma = C_alpha / K + length of each axle", f"{PACEJKA}, sec. 7.2; the paper's equation 11",
                 front=("m", 0.0, 1.0, 0.0), rear=("m", 0.0, 1.0, 0.0)),
@@ -625,19 +625,20 @@ def uneven(p, load: float, a_y: float) -> float:
 @compiled
 def tyre_curve(p, z: float, share: float) -> tuple[float, float]:
     """Forces (x, y) over demands at demand over grip z, where Dugoff's are `share` of them: blends towards magic
-    formulas, one of which peaks and one bends late (Pacejka, sec. 4.3)."""
+    formulas, one of which peaks, one bends late and one early (Pacejka, sec. 4.3)."""
     if z == 0.0:
         return share, share
     peaked, full = peaked_and_full(z)
-    peaked, full = peaked / z - share, full / z - share
-    late = share + p.tyre_curve_fullness * full
-    return late + p.tyre_curve_longitudinal * peaked, late + p.tyre_curve_peak * peaked
+    peaked, full, early = peaked / z - share, full / z - share, bent_early(z) / z - share
+    both = share + p.tyre_curve_fullness * full + p.tyre_curve_early * early
+    return both + p.tyre_curve_longitudinal * peaked, both + p.tyre_curve_peak * peaked
 
 
 @compiled
 def curved(p) -> bool:
     """Whether the tyre curve is another one than Dugoff's."""
-    return p.tyre_curve_peak != 0.0 or p.tyre_curve_longitudinal != 0.0 or p.tyre_curve_fullness != 0.0
+    peaked = p.tyre_curve_peak != 0.0 or p.tyre_curve_longitudinal != 0.0
+    return peaked or p.tyre_curve_fullness != 0.0 or p.tyre_curve_early != 0.0
 
 
 @compiled
