@@ -32,7 +32,7 @@ from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.physics.vehicle import GRAVITY
 
-INHERENT = tuple(p.name for name in ("tyre_curve", "lateral_load_transfer") for p in CATALOGUE[name].parameters)
+INHERENT = tuple(p.name for name in ("tyre_curve", "combined_slip", "lateral_load_transfer") for p in CATALOGUE[name].parameters)
 FRICTION = "friction_level.factor"
 START = {
     "tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004, "lateral_load_transfer.track": 1.5,

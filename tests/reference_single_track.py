@@ -148,10 +148,18 @@ def tyre(
     c: Car, C: tuple[float, float], mu: float, F_z: float, static: float, slips: tuple[float, float], a_y: float
 ) -> tuple[float, float]:
     """F_x, F_y [N] of a tyre or axle of stiffnesses C (kappa, alpha) with the tyre effects; slips (kappa, alpha)."""
-    kappa, alpha = slips
     stiffer = max(1.0 + c["load_sensitivity_coefficient"] * (F_z - static) / static, 0.05)
     C_kappa = C[0] * stiffer
     C_alpha = C[1] * stiffer * max(1.0 - c["lateral_load_transfer_coefficient"] * a_y**2, 0.05)
+    F_x, _ = bent(c, C_kappa, C_alpha, mu, F_z, *slips)
+    _, F_y = bent(c, c["combined_slip_weight"] * C_kappa, C_alpha, mu, F_z, *slips)
+    return F_x, F_y
+
+
+def bent(
+    c: Car, C_kappa: float, C_alpha: float, mu: float, F_z: float, kappa: float, alpha: float
+) -> tuple[float, float]:
+    """F_x, F_y [N] of Dugoff's tyre with another curve."""
     forces, grip = dugoff(C_kappa, C_alpha, mu, F_z, kappa, alpha), mu * max(F_z, 0.0)
     demands, peaks = (C_kappa * kappa, C_alpha * math.tan(alpha)), (c["tyre_curve_longitudinal"], c["tyre_curve_peak"])
     size = math.hypot(*demands)
@@ -159,9 +167,9 @@ def tyre(
         return forces
     z, full, early = size / grip, c["tyre_curve_fullness"], c["tyre_curve_early"]
     peaked, filled = math.sin(1.5 * math.atan(z / 1.5)) * grip / size, full_curve(z) * grip / size
-    bent = math.sin(math.atan(z)) * grip / size
+    hyperbola = math.sin(math.atan(z)) * grip / size
     F_x, F_y = (
-        F + peak * (peaked * demand - F) + full * (filled * demand - F) + early * (bent * demand - F)
+        F + peak * (peaked * demand - F) + full * (filled * demand - F) + early * (hyperbola * demand - F)
         for F, demand, peak in zip(forces, demands, peaks, strict=True)
     )
     return F_x, F_y
@@ -189,6 +197,7 @@ def pulled_tyre(
     X = abs(F_x)
     if X > 0.0 and share(X) < 1.0:
         X = root(lambda x: x * share(x) - abs(F_x), 0.0, 1e3 * (grip + abs(D)))
+    X *= c["combined_slip_weight"]
     F_y, S = D * share(X), math.hypot(X, D)
     if S > 0.0 and grip > 0.0:
         across, z = grip / S * D, S / grip

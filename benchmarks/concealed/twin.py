@@ -4,7 +4,8 @@
     J d2phi/dt2 = m_s h_s a_y - (K - m_s g h_s) phi - D dphi/dt        the body rolls and loads the wheels
     F = mu F_z sin(C atan(w - E (w - atan w))),  w = s / (C mu F_z),  s = |(C_kappa kappa, C_alpha tan alpha)|
 
-(Pacejka, Tire and Vehicle Dynamics, sec. 4.3; combined slip by similarity; Rajamani, ch. 15). The IMU stands on a
+(Pacejka, Tire and Vehicle Dynamics, sec. 4.3; combined slip by similarity, in which the longitudinal demand counts
+`combined` times in the side force; Rajamani, ch. 15). The IMU stands on a
 level platform, or rolls with the body. Effects are coded here and in `actuators_and_sensors`, independently of the
 tool's.
 """
@@ -25,7 +26,7 @@ RATE = 1000.0  # Hz, of the integrator at least
 FIELDS = (
     "m I_z l_f l_r h track C_kappa_f C_kappa_r C_alpha_f C_alpha_r mu R_f R_r softness I_wf I_wr sigma_f sigma_r C E "
     "K_phi D_phi J_phi lever front drag_area lift_area lift_front c_rr compliance rear_compliance roll_steer "
-    "load_sensitivity load_transfer uneven curve vectoring pull cog_y uneven_front"
+    "load_sensitivity load_transfer uneven curve combined vectoring pull cog_y uneven_front"
 ).split()
 CAR = np.dtype([(name, np.float64) for name in FIELDS])
 DELTA, T_F, T_R, F_X, F_Y, M_Z, GRIP, WARMTH, DRAG, G_X = range(10)
@@ -92,9 +93,10 @@ def derivatives(p, u, x, last, rate) -> None:
             used_k, used_a = x[9 + i], x[13 + i]
             rate[9 + i], rate[13 + i] = v_x / sigma * (kappa - used_k), v_x / sigma * (alpha - used_a)
         d_x, d_y = stiff * C_k * used_k, stiff * side * C_a * math.tan(used_a)
-        demand = math.hypot(d_x, d_y)
-        share = magic(p, demand, u[GRIP] * p.mu * load) / demand if demand > 0.0 else 0.0
-        f_x, f_y = share * d_x, share * d_y
+        grip = u[GRIP] * p.mu * load
+        demand, beside = math.hypot(d_x, d_y), math.hypot(p.combined * d_x, d_y)
+        f_x = magic(p, demand, grip) / demand * d_x if demand > 0.0 else 0.0
+        f_y = magic(p, beside, grip) / beside * d_y if beside > 0.0 else 0.0
         X_force, Y_force = f_x * c - f_y * s, f_x * s + f_y * c
         sum_x += X_force
         sum_y += Y_force
@@ -144,7 +146,7 @@ def between(t: np.ndarray, start: float, duration: float) -> np.ndarray:
 class Twin:
     """The car of a vehicle file with its own tyres: shape factor C and curvature E of the magic formula.
 
-    Its body rolls about an axis `roll_centre` [m] above the ground, with the damping ratio `roll_damping`.
+    What its tyres' side forces feel of longitudinal demands is `combined`. Its body rolls about an axis `roll_centre` [m] above the ground, with the damping ratio `roll_damping`.
     With its IMU `on_body` the effect `body_roll` is what the body itself does, at that gradient.
     """
 
@@ -155,6 +157,7 @@ class Twin:
     on_body: bool = False
     roll_centre: float = 0.1
     roll_damping: float = 0.3
+    combined: float = 1.0
 
     def drive(self, plan: Plan, effects: Effects) -> Series | None:
         p, t = self._constants(effects), plan.t
@@ -202,6 +205,7 @@ class Twin:
             "lift_front": of("downforce", "front_share", 0.5), "c_rr": of("rolling_resistance", "coefficient"),
             "compliance": of("steering_compliance", "coefficient"), "roll_steer": of("roll_steer", "coefficient"),
             "load_sensitivity": of("load_sensitivity", "coefficient"), "curve": of("tyre_curve", "peak"),
+            "combined": of("combined_slip", "weight", self.combined),
             "load_transfer": of("lateral_load_transfer", "coefficient"),
             "uneven": math.sqrt(of("lateral_load_transfer", "uneven")),
             "uneven_front": of("lateral_load_transfer", "front"),

@@ -26,14 +26,16 @@ LENGTH_MULTIBODY_S = (11.0, 13.0)
 UNSTATED_CARCASS = 0.8  # share of vehicle files without K
 ROLL_DAMPING = (0.2, 0.45)  # as a ratio, stated; the three cars of CommonRoad have 0.37 to 0.45
 ROLL_CENTRE_M = (0.04, 0.14)  # above the ground, stated
+COMBINED = (0.0, 1.0)  # weight of longitudinal demands in side forces, from none to that of a friction circle; stated
 IMU_HEIGHT_M = (-0.3, 0.9)  # above the centre of gravity, of an IMU that is off it: on the floor, on the roof; stated
 OFF = 0.3  # by which stated stiffnesses are off at most
 OFF_L_F = 0.12  # [m]
 INHERENT: Mapping[str, tuple[str, ...]] = {
-    "twin": ("tyre_curve", "lateral_load_transfer"),
-    "twin, IMU on the body": ("tyre_curve", "lateral_load_transfer", "body_roll"),
+    "twin": ("tyre_curve", "combined_slip", "lateral_load_transfer"),
+    "twin, IMU on the body": ("tyre_curve", "combined_slip", "lateral_load_transfer", "body_roll"),
     "multi-body car": (
         "tyre_curve",
+        "combined_slip",
         "load_sensitivity",
         "lateral_load_transfer",
         "relaxation",
@@ -42,7 +44,7 @@ INHERENT: Mapping[str, tuple[str, ...]] = {
     ),
     OWN: (),
 }
-"""Effects that each world has by itself: its tyres are not Dugoff's, its wheels' loads are uneven in a turn, its body
+"""Effects that each world has by itself: its tyres are neither Dugoff's nor on a friction circle, its wheels' loads are uneven in a turn, its body
 leans, its axles give way sideways (the multi-body car's by 175 kN/m). Naming one is never wrong."""
 LIKE: Mapping[str, tuple[str, ...]] = {"body_roll": ("accelerometer_scale",)}
 """What reads as such an effect does, by its equation: an IMU that leans by k a_y reads a_y larger by k g."""
@@ -147,6 +149,11 @@ def _leaning(twin: Twin, rng: np.random.Generator) -> Twin:
     return replace(twin, roll_centre=float(rng.uniform(*ROLL_CENTRE_M)), roll_damping=float(rng.uniform(*ROLL_DAMPING)))
 
 
+def _gripping(twin: Twin, rng: np.random.Generator) -> Twin:
+    """With tyres that are more or less far from a friction circle."""
+    return replace(twin, combined=float(rng.uniform(*COMBINED)))
+
+
 def whole_car(rng: np.random.Generator, worlds: Mapping[str, float] = WORLDS) -> WholeCar:
     """Everything of a case, drawn without a look at what it would show; of each world as often as its share says."""
     name = _chosen(rng, worlds)
@@ -174,8 +181,9 @@ def whole_car(rng: np.random.Generator, worlds: Mapping[str, float] = WORLDS) ->
     effects |= missing.drawn_outside(rng, shortest, multibody=multibody) if name != OWN else {}
     shape = float(rng.uniform(1.2, 1.5))
     curvature = -(1.0 + shape**2 / 2) * float(rng.uniform(0.7, 1.0))
-    leaning, height = rng.spawn(2)
-    world: World = _leaning(Twin(car=car, gain=gain, C=shape, E=curvature, on_body=name != "twin"), leaning)
+    leaning, height, gripping = rng.spawn(3)
+    twin = Twin(car=car, gain=gain, C=shape, E=curvature, on_body=name != "twin")
+    world: World = _gripping(_leaning(twin, leaning), gripping)
     if "imu_lever_arm" in effects:
         effects["imu_lever_arm"] |= {"z": float(height.uniform(*IMU_HEIGHT_M))}
     if name == OWN:

@@ -189,6 +189,9 @@ CATALOGUE: Mapping[str, Effect] = {
                 "w))), w = z/C, z = |(C_kappa kappa, C_alpha tan(alpha))|/(mu F_z)",
                 f"{PACEJKA}, sec. 4.3", peak=("1", 0.0, 1.0, 0.0), longitudinal=("1", 0.0, 1.0, 0.0),
                 fullness=("1", 0.0, 1.0, 0.0), early=("1", 0.0, 1.0, 0.0)),
+        _effect("combined_slip", "tyre", "driving and braking take less of the side force than a friction circle says",
+                "S_y = |(weight C_kappa kappa, C_alpha tan(alpha))| in place of S in the law of F_y",
+                f"{PACEJKA}, sec. 4.3.2", weight=("1", 0.0, 1.0, 1.0)),
         _effect("relaxation", "tyre", "slips build up over a rolled length, beyond the file's C_alpha / K",
                 "sigma = C_alpha / K + length of each axle", f"{PACEJKA}, sec. 7.2; the paper's equation 11",
                 front=("m", 0.0, 1.0, 0.0), rear=("m", 0.0, 1.0, 0.0)),
@@ -701,12 +704,34 @@ def tyre_force(
     """Forces (F_x, F_y) [N] of a tyre or an axle under F_z [N], `load` times its static one, with the tyre effects."""
     stiffness = load_sensitivity(p, load)
     C_kappa, C_alpha = stiffness * C_kappa, stiffness * lateral_load_transfer(p, a_y) * C_alpha
-    if not curved(p):
+    if not curved(p) and not weighed(p):
         return dugoff(C_kappa, C_alpha, mu, F_z, kappa, tan_alpha)
     demand_x, demand_y, grip = C_kappa * kappa, C_alpha * tan_alpha, mu * max(F_z, 0.0)
-    demand = math.sqrt(demand_x * demand_x + demand_y * demand_y)
-    along, across = tyre_curve(p, demand / max(grip, 1e-9), dugoff_share(demand, grip, kappa))
+    along, across = shares(p, math.hypot(demand_x, demand_y), grip, kappa)
+    if weighed(p):
+        _, across = shares(p, combined_slip(p, demand_x, demand_y), grip, kappa)
     return along * demand_x, across * demand_y
+
+
+@compiled
+def shares(p, demand: float, grip: float, kappa: float) -> tuple[float, float]:
+    """Forces (x, y) over their demands [N], of size `demand`."""
+    if demand == 0.0:
+        return 0.0, 0.0
+    share = dugoff_share(demand, grip, kappa)
+    return tyre_curve(p, demand / max(grip, 1e-9), share) if curved(p) else (share, share)
+
+
+@compiled
+def weighed(p) -> bool:
+    """Whether the longitudinal demand counts less in the side force than in the friction circle."""
+    return p.combined_slip_weight != 1.0
+
+
+@compiled
+def combined_slip(p, demand_x: float, demand_y: float) -> float:
+    """Combined demand S_y [N] that the side force follows from."""
+    return math.hypot(p.combined_slip_weight * demand_x, demand_y)
 
 
 @compiled
@@ -716,7 +741,9 @@ def side_force(p, C_alpha: float, mu: float, F_z: float, load: float, F_x: float
     grip = mu * max(F_z, 0.0)
     F_x = min(max(F_x, -MOST_GRIP * grip), MOST_GRIP * grip)
     F_y, demand = dugoff_side(F_x, demand_y, grip)
-    if demand_y == 0.0 or not curved(p):
+    if demand_y == 0.0 or not curved(p) and not weighed(p):
         return F_x, F_y
-    _, across = tyre_curve(p, demand / max(grip, 1e-9), F_y / demand_y)
+    if weighed(p):
+        demand = combined_slip(p, math.sqrt(max(demand * demand - demand_y * demand_y, 0.0)), demand_y)
+    _, across = shares(p, demand, grip, 0.0)
     return F_x, across * demand_y
