@@ -6,7 +6,7 @@
                                                                   of gravity and above it)
 
 The twin has other tyres than the tool's model, and wheels whose loads are uneven in a turn. Base parameters and those
-of `tyre_curve` and `lateral_load_transfer` are fitted to what its sensors would read, then the friction beside them.
+of `tyre_curve`, `combined_slip` and `lateral_load_transfer` are fitted to what its sensors would read, then the friction beside them.
 What is left is a signal-to-noise ratio, in standard deviations of the case's noise: what no parameter can take over,
 and what is then taken by friction, which is not off. Then the car has its effects of the catalogue, and their
 parameters are fitted too: a world that does an effect otherwise than the catalogue says leaves more.
@@ -32,7 +32,8 @@ from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.physics.vehicle import GRAVITY
 
-INHERENT = tuple(p.name for name in ("tyre_curve", "combined_slip", "lateral_load_transfer") for p in CATALOGUE[name].parameters)
+TYRES = ("tyre_curve", "combined_slip", "lateral_load_transfer")
+INHERENT = tuple(p.name for name in TYRES for p in CATALOGUE[name].parameters)
 FRICTION = "friction_level.factor"
 START = {
     "tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004, "lateral_load_transfer.track": 1.5,

@@ -19,6 +19,7 @@ from vehicle_sbi.physics.effects import (
     torques,
     tyre_force,
 )
+from vehicle_sbi.physics.effects import side_force as beside_given
 from vehicle_sbi.physics.sensors import MOTION
 from vehicle_sbi.physics.signals import EDGE, interpolate
 from vehicle_sbi.physics.simulation import MODELS
@@ -363,6 +364,25 @@ def test_an_early_tyre_curve_is_a_hyperbola_that_nears_the_grip(z: float) -> Non
     # sin(atan z) = z / sqrt(1 + z^2): F^2 (1 + 1/z^2) = (mu F_z)^2.
     force = side_force(derived(tyre_curve_early=1.0), z * 6000.0 / 8e4)
     assert math.hypot(force, force / z) == pytest.approx(6000.0, rel=8 * EPS)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.4, 1.0])
+def test_driving_takes_a_weighed_share_of_the_side_force(weight: float) -> None:
+    # Beyond the knee F_y/D_y = G/(2 S_y) (2 - G (1 + kappa)/(2 S_y)) with S_y = |(weight C_kappa kappa, D_y)|, whatever
+    # the weight F_x, of S_x; without curve, at kappa = 0.05: C_kappa kappa = 5000 N, D_y = 4000 N, G = 6000 N.
+    p, kappa, D_y, G_ = derived(combined_slip_weight=weight), 0.05, 4000.0, 6000.0
+    F_x, F_y = tyre_force(p, 1e5, 8e4, 1.0, G_, 1.0, kappa, D_y / 8e4, 0.0)
+    for force, demand, S in ((F_x, 5000.0, math.hypot(5e3, D_y)), (F_y, D_y, math.hypot(weight * 5e3, D_y))):
+        assert force == pytest.approx(0.5 * G_ / S * (2.0 - 0.5 * G_ * (1.0 + kappa) / S) * demand, rel=8 * EPS)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.4])
+def test_a_given_longitudinal_force_takes_as_little_of_it(weight: float) -> None:
+    # As from slips, whose factor 1 + kappa is 1 within 1e-7; the given force is that of a friction circle, no curve.
+    p, stiff, kappa, tan_alpha = derived(combined_slip_weight=weight, tyre_curve_early=0.3), 1e11, 4e-8, 3000.0 / 8e4
+    _, F_y = tyre_force(p, stiff, 8e4, 1.0, 6000.0, 1.0, kappa, tan_alpha, 0.0)
+    F_x, _ = tyre_force(derived(), stiff, 8e4, 1.0, 6000.0, 1.0, kappa, tan_alpha, 0.0)
+    assert beside_given(p, 8e4, 1.0, 6000.0, 1.0, F_x, tan_alpha, 0.0)[1] == pytest.approx(F_y, rel=1e-6)
 
 
 def test_stiffness_follows_load_and_turning() -> None:

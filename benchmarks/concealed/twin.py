@@ -146,7 +146,8 @@ def between(t: np.ndarray, start: float, duration: float) -> np.ndarray:
 class Twin:
     """The car of a vehicle file with its own tyres: shape factor C and curvature E of the magic formula.
 
-    What its tyres' side forces feel of longitudinal demands is `combined`. Its body rolls about an axis `roll_centre` [m] above the ground, with the damping ratio `roll_damping`.
+    What its tyres' side forces feel of longitudinal demands is `combined`. Its body rolls about an axis `roll_centre`
+    [m] above the ground, with the damping ratio `roll_damping`.
     With its IMU `on_body` the effect `body_roll` is what the body itself does, at that gradient.
     """
 

@@ -44,8 +44,9 @@ INHERENT: Mapping[str, tuple[str, ...]] = {
     ),
     OWN: (),
 }
-"""Effects that each world has by itself: its tyres are neither Dugoff's nor on a friction circle, its wheels' loads are uneven in a turn, its body
-leans, its axles give way sideways (the multi-body car's by 175 kN/m). Naming one is never wrong."""
+"""Effects that each world has by itself: its tyres are neither Dugoff's nor on a friction circle, its wheels' loads are
+uneven in a turn, its body leans, its axles give way sideways (the multi-body car's by 175 kN/m). Naming one is never
+wrong."""
 LIKE: Mapping[str, tuple[str, ...]] = {"body_roll": ("accelerometer_scale",)}
 """What reads as such an effect does, by its equation: an IMU that leans by k a_y reads a_y larger by k g."""
 

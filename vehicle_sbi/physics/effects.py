@@ -741,7 +741,7 @@ def side_force(p, C_alpha: float, mu: float, F_z: float, load: float, F_x: float
     grip = mu * max(F_z, 0.0)
     F_x = min(max(F_x, -MOST_GRIP * grip), MOST_GRIP * grip)
     F_y, demand = dugoff_side(F_x, demand_y, grip)
-    if demand_y == 0.0 or not curved(p) and not weighed(p):
+    if demand_y == 0.0 or (not curved(p) and not weighed(p)):
         return F_x, F_y
     if weighed(p):
         demand = combined_slip(p, math.sqrt(max(demand * demand - demand_y * demand_y, 0.0)), demand_y)
