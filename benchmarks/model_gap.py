@@ -6,10 +6,11 @@
                                                                   of gravity and above it)
 
 The twin has other tyres than the tool's model, and wheels whose loads are uneven in a turn. Base parameters and those
-of `tyre_curve`, `combined_slip` and `lateral_load_transfer` are fitted to what its sensors would read, then the friction beside them.
-What is left is a signal-to-noise ratio, in standard deviations of the case's noise: what no parameter can take over,
-and what is then taken by friction, which is not off. Then the car has its effects of the catalogue, and their
-parameters are fitted too: a world that does an effect otherwise than the catalogue says leaves more.
+of `tyre_curve`, `combined_slip` and `lateral_load_transfer` are fitted to what its sensors would read, then the
+friction beside them. What is left is a signal-to-noise ratio, in standard deviations of the case's noise: what no
+parameter can take over, and what is then taken by friction, which is not off. Then the car has its effects of the
+catalogue, and their parameters are fitted too: a world that does an effect otherwise than the catalogue says leaves
+more.
 """
 
 import os
