@@ -110,14 +110,14 @@ def wheel_slips(c: Car, drive: str, state: np.ndarray, delta: float, F_z: np.nda
 
 
 def tyre_forces(
-    c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, F_z: np.ndarray, a_x: float
+    c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, F_z: np.ndarray, a_x: float, a_y: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """F_x, F_y [N] of every wheel in its own axes; a_x [m/s^2] is where the speed is given."""
+    """F_x, F_y [N] of every wheel in its own axes; a_x [m/s^2] is where the speed is given, a_y what the body feels."""
     kappa, alpha = wheel_slips(c, drive, state, delta, F_z)
     lagging = np.repeat(relaxation_lengths(c), 2) > 0.0
     kappa, alpha = np.where(lagging, state[11:15], kappa), np.where(lagging, state[15:19], alpha)
     stiff, slide = np.repeat(levels(c, "stiffness_level"), 2), np.repeat(friction(c), 2)
-    (l_f, l_r), N, a_y = axles(c), weight(c), state[V_X] * state[R]
+    (l_f, l_r), N = axles(c), weight(c)
 
     def wheel(i: int, pull: float) -> tuple[float, float]:
         axle = "ffrr"[i]
@@ -147,7 +147,7 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
 
     def tyres_at(a: np.ndarray, lean: np.ndarray, delta: float) -> tuple[np.ndarray, ...]:
         F_z = loads(c, g, state, a, lean)
-        F_x, F_y = tyre_forces(c, now, drive, state, delta, F_z, u[4] - v_y * r)
+        F_x, F_y = tyre_forces(c, now, drive, state, delta, F_z, u[4] - v_y * r, float(a[1] + g[1]))
         turned = np.array([delta, delta, 0.0, 0.0])
         along = F_x * np.cos(turned) - F_y * np.sin(turned)
         return along, F_x * np.sin(turned) + F_y * np.cos(turned), F_x, F_y

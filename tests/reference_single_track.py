@@ -273,7 +273,7 @@ def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float
     lagging = [sigma > 0.0 for sigma in relaxation_lengths(c)]
     lagged, alphas = np.reshape(state[7:11], (2, 2)).T, slip_angles(c, state, delta)
     alphas = [lagged[i].tolist() if lags else alphas[i] for i, lags in enumerate(lagging)]
-    (l_f, l_r), N, steady = axles(c), weight(c), state[0] * state[2]
+    (l_f, l_r), N = axles(c), weight(c)
     statics, stiff, slide = (N * l_r / c["L"], N * l_f / c["L"]), levels(c, "stiffness_level"), friction(c)
     shifted = N * c["lateral_load_transfer_front"]
     borne = max(statics[0] + shifted, 0.0), max(statics[1] - shifted, 0.0)
@@ -283,7 +283,7 @@ def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float
     def pulled_pair(i: int, pull: float) -> list[tuple[float, float]]:
         C_alpha, wheels = stiff[i] * c[f"C_alpha_{'fr'[i]}"], wheel_loads(c, loads[i], borne[i], moving)
         return [
-            pulled_tyre(c, C_alpha / 2.0, now.mu * slide[i], load, statics[i] / 2.0, pull / 2.0, alpha, steady)
+            pulled_tyre(c, C_alpha / 2.0, now.mu * slide[i], load, statics[i] / 2.0, pull / 2.0, alpha, moving)
             for load, alpha in zip(wheels, alphas[i], strict=True)
         ]
 
@@ -301,7 +301,7 @@ def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float
             rho = (wheels[0] - wheels[1]) / 2.0 / (3.0 * c["C_vert"] * c["R_f"])
             lags = float(state[5 + i]) if lagging[i] else None
             slipping = kappas[i], lags, alphas[i][0], alphas[i][1]
-            pair, unequal = driven_pair(c, half, mu, wheels, static, slipping, (nu, rho), steady)
+            pair, unequal = driven_pair(c, half, mu, wheels, static, slipping, (nu, rho), moving)
             beyond[i] = (nu + rho) * (unequal - rho)
         found += np.sum(pair, axis=0).tolist()
         turned = delta if axle == "f" else 0.0
@@ -317,7 +317,8 @@ def downhill(c: Car) -> float:
 
 def leaning_body(c: Car) -> tuple[float, float]:
     """Of y'' + 2 damping w y' + w^2 y = w^2 (a_y + g_y) stiffness w^2 and damping, 0 where load moves at once."""
-    if c["lateral_load_transfer_period"] == 0.0 or c["lateral_load_transfer_uneven"] == 0.0:
+    moves = c["lateral_load_transfer_uneven"] != 0.0 or c["lateral_load_transfer_coefficient"] != 0.0
+    if c["lateral_load_transfer_period"] == 0.0 or not moves:
         return 0.0, 0.0
     w = 2.0 * math.pi / c["lateral_load_transfer_period"]
     return w**2, 2.0 * c["lateral_load_transfer_damping"] * w
@@ -340,7 +341,7 @@ def wheel_loads(c: Car, F_z: float, borne: float, a_y: float) -> tuple[float, fl
 
 def driven_pair(
     c: Car, C: tuple[float, float], mu: float, wheels: tuple[float, float], static: float,
-    slips: tuple[float, float | None, float, float], differ: tuple[float, float], steady: float,
+    slips: tuple[float, float | None, float, float], differ: tuple[float, float], moving: float,
 ) -> tuple[list[tuple[float, float]], float]:  # fmt: skip
     """Forces of both wheels of an axle with the same torque, and k d, at slips k (1 - d) and k (1 + d), d as small as
     may be, or as near as one wheel's slip can bring them; k is the lagged slip, or that of `mean_slip` where none lags,
@@ -352,7 +353,7 @@ def driven_pair(
 
     def pair(d: float) -> list[tuple[float, float]]:
         each, k = zip(wheels, (1.0 - d, 1.0 + d), alphas, strict=True), mean(d)
-        return [tyre(c, C, mu, load, static, (part * k, alpha), steady) for load, part, alpha in each]
+        return [tyre(c, C, mu, load, static, (part * k, alpha), moving) for load, part, alpha in each]
 
     def apart(d: float) -> float:
         right, left = pair(d)
@@ -434,7 +435,7 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
         return (across + F.y_r + y) / mass(c) - a_y
 
     a_y = v_x * r
-    if c["lateral_load_transfer_uneven"] != 0.0:
+    if c["lateral_load_transfer_uneven"] != 0.0 or c["lateral_load_transfer_coefficient"] != 0.0:
         a_y = float(newton(excess, a_y, tol=1e-12))
     (a_x, delta, F, sideways_f), (l_f, l_r) = under(a_y), axles(c)
     loads, a_y = axle_loads(c, now, a_x, v_x), (sideways_f + F.y_r + y) / mass(c)

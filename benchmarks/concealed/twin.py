@@ -64,6 +64,8 @@ def derivatives(p, u, x, last, rate) -> None:
     rear = p.m * GRAVITY * p.l_f / L + shift + (1.0 - p.lift_front) * p.lift_area * air
     more = 0.5 * p.uneven * a_y
     weight = p.m * GRAVITY
+    settled = (1.0 - GRAVITY * p.lever / p.K_phi) * roll_spring
+    moved = ((p.m * p.h - p.lever) * a_y + settled) / (p.m * p.h)
     across_f = (p.front * roll_spring + rest * p.l_r / L) / p.track + more * (front + p.uneven_front * weight)
     across_r = ((1.0 - p.front) * roll_spring + rest * p.l_f / L) / p.track + more * (rear - p.uneven_front * weight)
     sum_x = u[F_X] - p.drag_area * air - p.c_rr * (front + rear)
@@ -77,7 +79,7 @@ def derivatives(p, u, x, last, rate) -> None:
         load = 0.5 * (front if ahead else rear) + (-1.0 if left else 1.0) * (across_f if ahead else across_r)
         static = 0.5 * p.m * GRAVITY * (p.l_r if ahead else p.l_f) / L
         stiff = 0.5 * u[WARMTH] * max(1.0 + p.load_sensitivity * (load / static - 1.0), 0.05)
-        side = max(1.0 - p.load_transfer * a_y * a_y, 0.05)
+        side = max(1.0 - p.load_transfer * moved * moved, 0.05)
         C_k, C_a = (p.C_kappa_f, p.C_alpha_f) if ahead else (p.C_kappa_r, p.C_alpha_r)
         R = (p.R_f if ahead else p.R_r) - load * p.softness / 3.0
         delta = delta_f if ahead else delta_r

@@ -34,7 +34,7 @@ class Tyres(NamedTuple):
     mu: float
     F_z: float  # load [N], and in units of the static one
     load: float
-    steady: float  # lateral acceleration of a steady turn [m/s^2]
+    moved: float  # lateral acceleration [m/s^2] that what has moved across stands for
 
 
 class Slips(NamedTuple):
@@ -76,20 +76,20 @@ def mixed(share: float, lagged: float, now: float) -> float:
 def wheel(axle: Tyres, share: float) -> Tyres:
     """Half of an axle, under so many times half of its load."""
     C_kappa, C_alpha, F_z = 0.5 * axle.C_kappa, 0.5 * axle.C_alpha, 0.5 * axle.F_z
-    return Tyres(C_kappa, C_alpha, axle.mu, share * F_z, share * axle.load, axle.steady)
+    return Tyres(C_kappa, C_alpha, axle.mu, share * F_z, share * axle.load, axle.moved)
 
 
 @compiled
 def slipping(p, tyres: Tyres, kappa: float, tan_alpha: float) -> tuple[float, float]:
     """Forces (F_x, F_y) [N] at these slips; a wheel that turns backwards counts as locked."""
-    C_kappa, C_alpha, mu, F_z, load, steady = tyres
-    return tyre_force(p, C_kappa, C_alpha, mu, F_z, load, max(kappa, -1.0), tan_alpha, steady)
+    C_kappa, C_alpha, mu, F_z, load, moved = tyres
+    return tyre_force(p, C_kappa, C_alpha, mu, F_z, load, max(kappa, -1.0), tan_alpha, moved)
 
 
 @compiled
 def pulling(p, tyres: Tyres, F_x: float, tan_alpha: float) -> tuple[float, float]:
     """Forces (F_x, F_y) [N] where the longitudinal one is given, as far as the grip goes."""
-    return side_force(p, tyres.C_alpha, tyres.mu, tyres.F_z, tyres.load, F_x, tan_alpha, tyres.steady)
+    return side_force(p, tyres.C_alpha, tyres.mu, tyres.F_z, tyres.load, F_x, tan_alpha, tyres.moved)
 
 
 @compiled

@@ -173,7 +173,7 @@ CATALOGUE: Mapping[str, Effect] = {
                 coefficient=("1", 0.0, 1.0, 0.0)),
         _effect("lateral_load_transfer", "tyre",
                 "an axle loses cornering stiffness, and its inner wheel slides first, as load moves to the outer one",
-                "C_alpha = C_alpha,straight (1 - coefficient (v_x r)^2), F_axle = F((F_z + S)/2) + F((F_z - S)/2) of "
+                "C_alpha = C_alpha,straight (1 - coefficient w^2), F_axle = F((F_z + S)/2) + F((F_z - S)/2) of "
                 "two wheels of equal torque, at v_x +- r track/2, S = sqrt(uneven) w m g share, share_f = l_r/L + "
                 f"front, share_r = l_f/L - front, w = {1.0 - SPRINGS_BEAR:g} a_y + {SPRINGS_BEAR:g} (y + "
                 "2 damping T dy/dt), T = period/(2 pi), T^2 d2y/dt2 + 2 damping T dy/dt = a_y - y (the full vehicle "
@@ -595,7 +595,7 @@ def load_sensitivity(p, load: float) -> float:
 
 @compiled
 def lateral_load_transfer(p, a_y: float) -> float:
-    """Factor on the cornering stiffness of an axle at a steady lateral acceleration [m/s^2]."""
+    """Factor on the cornering stiffness of an axle whose load has moved across as an acceleration [m/s^2] asks."""
     return max(1.0 - p.lateral_load_transfer_coefficient * a_y * a_y, LEAST_STIFFNESS)
 
 
@@ -612,7 +612,7 @@ def lean_share(p) -> float:
     A shorter period than LEAST_SWING steps is that long, by the share that has the same second-order response,
     1 - (s T)^2.
     """
-    if p.lateral_load_transfer_period <= SHORTEST or not moves_load_across(p):
+    if not leans(p):
         return 0.0
     shorter = min(p.lateral_load_transfer_period / (LEAST_SWING * p.step), 1.0)
     return SPRINGS_BEAR * shorter * shorter
@@ -682,19 +682,26 @@ def wheel_radius(p) -> tuple[float, float]:
 @compiled
 def ignores_load(p) -> bool:
     """Whether the force that `axle_force` gives below the knee is the same under any load."""
-    return p.load_sensitivity_coefficient == 0.0 and not wheels_differ(p) and not curved(p)
+    stiff = p.load_sensitivity_coefficient == 0.0 and p.lateral_load_transfer_coefficient == 0.0
+    return stiff and not wheels_differ(p) and not curved(p)
 
 
 @compiled
 def moves_load_across(p) -> bool:
     """Whether a turn moves load from an axle's inner wheel to its outer one, and the model counts with it."""
-    return p.lateral_load_transfer_uneven != 0.0
+    return p.lateral_load_transfer_uneven != 0.0 or p.lateral_load_transfer_coefficient != 0.0
+
+
+@compiled
+def leans(p) -> bool:
+    """Whether load moves across as the body leans."""
+    return p.lateral_load_transfer_period > SHORTEST and moves_load_across(p)
 
 
 @compiled
 def wheels_differ(p) -> bool:
     """Whether the wheels of an axle are two to the model, in their loads or in where they stand."""
-    return moves_load_across(p) or p.lateral_load_transfer_track != 0.0
+    return p.lateral_load_transfer_uneven != 0.0 or p.lateral_load_transfer_track != 0.0
 
 
 @compiled

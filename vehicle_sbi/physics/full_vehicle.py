@@ -225,8 +225,11 @@ def rolling_freely(p, axle: Axle, front: Front, left: Wheel, right: Wheel, F_l: 
 
 
 @compiled
-def contact(p, car: Car, axle: Axle, front: Front, w: Wheel, F_z: float, freely: float, pull: float) -> Contact:
-    """What the tyre of a wheel that points to the `front` does under the load F_z [N].
+def contact(
+    p, car: Car, axle: Axle, front: Front, w: Wheel, F_z: float, moved: float, freely: float, pull: float
+) -> Contact:
+    """What the tyre of a wheel that points to the `front` does under the load F_z [N], which an acceleration `moved`
+    [m/s^2] has moved across.
 
     `pull` is its axle's longitudinal force [N] where the speed is given. Where wheel speeds are, only their mean is
     known: an open differential drives both wheels alike, so both have the slip of the mean over `freely` [rad/s].
@@ -235,12 +238,12 @@ def contact(p, car: Car, axle: Axle, front: Front, w: Wheel, F_z: float, freely:
     rolled = v_wheel * w.omega / freely if car.drive == WHEEL_SPEED else R_e * w.omega
     kappa = 0.0 if car.drive == SPEED else slip(rolled, v_wheel)
     tan_alpha = w.tan_alpha if w.share == 1.0 else tangent(mixed(w.share, w.alpha, alpha))
-    mu, steady, load = axle.slide * car.outside.mu, car.outside.steady, F_z / axle.F_z_static
+    mu, load = axle.slide * car.outside.mu, F_z / axle.F_z_static
     if car.drive == SPEED:
-        F_along, F_side = side_force(p, axle.C_alpha, mu, F_z, load, 0.5 * pull, tan_alpha, steady)
+        F_along, F_side = side_force(p, axle.C_alpha, mu, F_z, load, 0.5 * pull, tan_alpha, moved)
     else:
         used = mixed(w.share, w.kappa, kappa)
-        F_along, F_side = tyre_force(p, axle.C_kappa, axle.C_alpha, mu, F_z, load, used, tan_alpha, steady)
+        F_along, F_side = tyre_force(p, axle.C_kappa, axle.C_alpha, mu, F_z, load, used, tan_alpha, moved)
     F_x = F_along * front.cosine - F_side * front.sine
     F_y = F_along * front.sine + F_side * front.cosine
     return Contact(F_x, F_y, w.x * F_y - w.y * F_x, F_along, F_side, R_e, kappa, alpha)
@@ -265,10 +268,10 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     elif car.drive == WHEEL_SPEED:
         free_f = rolling_freely(p, car.front, front, car.front_left, car.front_right, F_z[0], F_z[1])
         free_r = rolling_freely(p, car.rear, straight, car.rear_left, car.rear_right, F_z[2], F_z[3])
-    fl = contact(p, car, car.front, front, car.front_left, F_z[0], free_f, pull_f)
-    fr = contact(p, car, car.front, front, car.front_right, F_z[1], free_f, pull_f)
-    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], free_r, pull_r)
-    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3], free_r, pull_r)
+    fl = contact(p, car, car.front, front, car.front_left, F_z[0], a_y + car.g_y, free_f, pull_f)
+    fr = contact(p, car, car.front, front, car.front_right, F_z[1], a_y + car.g_y, free_f, pull_f)
+    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], a_y + car.g_y, free_r, pull_r)
+    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3], a_y + car.g_y, free_r, pull_r)
     F_along = (fl.F_x + fr.F_x) + (rl.F_x + rr.F_x)
     F_x = out.push_x + F_along
     F_y = out.push_y + (fl.F_y + fr.F_y) + (rl.F_y + rr.F_y)

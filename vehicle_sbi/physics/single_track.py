@@ -25,6 +25,7 @@ from vehicle_sbi.physics.effects import (
     lateral_cog,
     lean_period,
     lean_share,
+    leans,
     moves_load_across,
     road_bank,
     wheels_differ,
@@ -156,13 +157,13 @@ def loads(p, car: Car, a_x: float) -> tuple[float, float]:
 
 
 @compiled
-def tyres(p, out: Outside, F_zf: float, F_zr: float) -> tuple[Tyres, Tyres]:
-    """Both axles under their loads [N]."""
+def tyres(p, out: Outside, F_zf: float, F_zr: float, moved: float) -> tuple[Tyres, Tyres]:
+    """Both axles under their loads [N], which have moved across as an acceleration [m/s^2] asks."""
     C_kf, C_f, mu_f = p.stiff_f * p.C_kappa_f, p.stiff_f * p.C_alpha_f, p.slide_f * out.mu
     C_kr, C_r, mu_r = p.stiff_r * p.C_kappa_r, p.stiff_r * p.C_alpha_r, p.slide_r * out.mu
     return (
-        Tyres(C_kf, C_f, mu_f, F_zf, F_zf / p.F_zf_static, out.steady),
-        Tyres(C_kr, C_r, mu_r, F_zr, F_zr / p.F_zr_static, out.steady),
+        Tyres(C_kf, C_f, mu_f, F_zf, F_zf / p.F_zf_static, moved),
+        Tyres(C_kr, C_r, mu_r, F_zr, F_zr / p.F_zr_static, moved),
     )
 
 
@@ -217,7 +218,8 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     """
     out, relaxed = car.outside, car.share_f == 1.0 and car.share_r == 1.0
     F_zf, F_zr = loads(p, car, a_x)
-    axle_f, axle_r = tyres(p, out, F_zf, F_zr)
+    moved = car.at_once * (a_y + road_bank(p)) + car.leant
+    axle_f, axle_r = tyres(p, out, F_zf, F_zr, moved)
     tan_f, kappa_f, kappa_r = car.tan_f, 0.0, 0.0
     if car.share_f < 1.0:
         tan_f = tangents(mixed_angles(car.share_f, car.alpha_f, front.delta, car.moving_f))
@@ -226,7 +228,6 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     faster = right_faster(p, car.v_x, out.steady)
     slips_f = Slips(kappa_f, car.kappa_f, car.share_f, faster, tan_f.right, tan_f.left, p.split_f, p.slope_f)
     slips_r = Slips(kappa_r, car.kappa_r, car.share_r, faster, car.tan_r.right, car.tan_r.left, p.split_r, p.slope_r)
-    moved = car.at_once * (a_y + road_bank(p)) + car.leant
     if car.drive == SPEED:
         pull_f, pull_r = pulls(p, out, front, a_x)
         f = axle_side_force(p, axle_f, pull_f, slips_f, p.moved_f * moved)
@@ -262,9 +263,15 @@ def ground(_, state, __: int) -> float:
 
 
 @compiled
+def turns_unevenly(p) -> bool:
+    """Whether it changes anything that the wheels of an axle differ, or that the body leans."""
+    return wheels_differ(p) or leans(p)
+
+
+@compiled
 def states(p) -> int:
     """How many of the states, the first ones, change anything."""
-    return STATES if wheels_differ(p) else ALIKE
+    return STATES if turns_unevenly(p) else ALIKE
 
 
 @compiled
@@ -278,8 +285,8 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     share_f, share_r = lag_share(p, p.sigma_f, speed), lag_share(p, p.sigma_r, speed)
     moving_f, moving_r = moving(p, v_yf, speed, r), moving(p, v_y - p.l_rear * r, speed, r)
     alpha_f, alpha_r = Wheels(state[ALPHA_FR], state[ALPHA_FR]), Wheels(state[ALPHA_RR], state[ALPHA_RR])
-    differ, leaning, leant = wheels_differ(p), 0.0, 0.0
-    if differ:
+    uneven, leaning, leant = turns_unevenly(p), 0.0, 0.0
+    if uneven:
         alpha_f, alpha_r = Wheels(alpha_f.right, state[ALPHA_FL]), Wheels(alpha_r.right, state[ALPHA_RL])
         leaning = lean_share(p)
         leant = leaning * (state[LEAN] + damping(p) * state[LEANING])
@@ -319,7 +326,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     rate[KAPPA_R] = fade_r * (rolls.kappa_r + found.beyond_r - state[KAPPA_R])
     rate[ALPHA_FR] = fade_f * (front.delta - moving_f.right - alpha_f.right)
     rate[ALPHA_RR] = fade_r * (-moving_r.right - alpha_r.right)
-    if differ:
+    if uneven:
         rate[ALPHA_FL] = fade_f * (front.delta - moving_f.left - alpha_f.left)
         rate[ALPHA_RL] = fade_r * (-moving_r.left - alpha_r.left)
         lean(p, leaning, rate[V_Y] + v_x * r + road_bank(p), state, rate)

@@ -27,6 +27,7 @@ EASED_STEPS = 4  # of Gauss-Newton under each of them
 ANEW = 2  # of those noises after which derivatives are simulated anew rather than follow from steps
 STEPS, NOISE_ROUNDS, NOISE_STEPS = 16, 2, 8  # of Gauss-Newton, of fit and noise, and of Gauss-Newton within those
 LAST_STEPS = 6  # of Gauss-Newton, before a model is made linear
+STIRRED = 0.1  # typical sizes off its null, from which what sleeps there does not any more
 STIFFER = 1.4  # times the fitted stiffness, for which steps of the integrator are short enough
 FARTHEST = 20.0  # logarithm of a ratio at most, against overflow
 STABLE = 2.0  # step times rate at most
@@ -175,10 +176,12 @@ class Expansion:
         rms: Float[np.ndarray, " sizes"],
         factor: float,
     ) -> Fit | None:
-        """The same under white noise that is so many times the sensors', where what sleeps may be anywhere; from
-        there as well with that halfway into its boxes."""
-        held = np.where(self._sleeping, WIDER, rms)
-        starts = [start, self._awake(start)] if self.asleep else [start]
+        """The same under white noise that is so many times the sensors', where what sleeps may be anywhere; where it
+        still does, from there as well with that halfway into its boxes."""
+        held, own = np.where(self._sleeping, WIDER, rms), len(self.base)
+        off = np.abs(self.coefficients(start)[own : own + len(self.sizes)]) > STIRRED
+        asleep = np.flatnonzero(self._sleeping & ~off)
+        starts = [start, self._awake(start, asleep)] if len(asleep) else [start]
         best = _likeliest(each(lambda one: self._led(observation, held, one, (factor,), LAST_STEPS), starts))
         return None if best is None else relinearised(best, best.theta)
 
@@ -187,9 +190,9 @@ class Expansion:
         """Which sizes change next to nothing near their nulls."""
         return np.array([p.name in self.asleep for p in self.sizes], dtype=bool)
 
-    def _awake(self, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
-        """With sizes that sleep halfway into their boxes."""
-        awake, sizes = theta.copy(), np.flatnonzero(self._sleeping)
+    def _awake(self, theta: Float[np.ndarray, " d"], sizes: Int[np.ndarray, " k"]) -> Float[np.ndarray, " d"]:
+        """With some sizes halfway into their boxes."""
+        awake = theta.copy()
         awake[len(self.base) + sizes] = [middle(self.sizes[k]) for k in sizes]
         return awake
 

@@ -103,8 +103,8 @@ def expand_and_prune(
     """
     expansion, told = Expansion.of(base.simulator.space, known, prior), list[_Told]()
     now = _annealed(_Round.first(base, expansion), prior, rng, budget)
-    fit = None if now is None else now.fitted()
-    if now is None or fit is None:
+    fit = now.fitted()
+    if fit is None:
         return None
     asked = _Asked.about(fit, base.observation.observed, naming, prior, rng)
     for k in range(budget.rounds):
@@ -122,8 +122,8 @@ def expand_and_prune(
     return pooled([one.pruned for one in told]) if told else None
 
 
-def _annealed(now: _Round, prior: EffectPrior, rng: np.random.Generator, budget: Budget) -> _Round | None:
-    """Where the first round under the fit's own noise begins; None where the model cannot be simulated.
+def _annealed(now: _Round, prior: EffectPrior, rng: np.random.Generator, budget: Budget) -> _Round:
+    """Where the first round under the fit's own noise begins, led as far as the model can be simulated.
 
     What is found of discrepancies stays in what was recorded: under much noise they take what effects will.
     """
@@ -131,7 +131,7 @@ def _annealed(now: _Round, prior: EffectPrior, rng: np.random.Generator, budget:
     for factor in budget.annealed:
         fit = now.eased(factor)
         if fit is None:
-            return None
+            break
         asked = asked or _Asked.about(fit, recorded.observed, None, prior, rng)
         now = asked.told(now, fit, budget.first).again(recorded)
     return replace(now, observation=under_white(recorded, 1.0))
