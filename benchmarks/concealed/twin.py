@@ -29,8 +29,8 @@ FIELDS = (
     "load_sensitivity load_transfer uneven curve combined vectoring pull cog_y uneven_front"
 ).split()
 CAR = np.dtype([(name, np.float64) for name in FIELDS])
-DELTA, T_F, T_R, F_X, F_Y, M_Z, GRIP, WARMTH, DRAG, G_X = range(10)
-INPUTS = 10
+DELTA, T_F, T_R, F_X, F_Y, M_Z, GRIP, WARMTH, DRAG, G_X, G_Y = range(11)
+INPUTS = 11
 STATES = 17  # v_x, v_y, r, phi, dphi/dt, four wheel speeds, lagged kappa and alpha of each wheel
 ROLL_GRADIENT = 0.006  # [rad/(m/s^2)] of the body, unless an effect states it
 TRACK = 1.55  # [m] of both axles
@@ -52,10 +52,11 @@ def magic(p, demand: float, grip: float) -> float:
 
 @njit(cache=True)
 def derivatives(p, u, x, last, rate) -> None:
-    """Fill rate (17,) and last (a_x, a_y, F_yf, F_yr), whose values on entry set loads and compliances."""
+    """Fill rate (17,) and last (a_x, a_y, F_yf, F_yr), whose values on entry set loads and compliances; gravity along a
+    banked road loads the wheels and leans the body as a turn does."""
     v_x, v_y, r = x[0], x[1], x[2]
     L = p.l_f + p.l_r
-    a_x, a_y = last[0], last[1]
+    a_x, a_y = last[0], last[1] + u[G_Y]
     roll_spring = p.K_phi * x[3] + p.D_phi * x[4]
     rest = (p.m * p.h - p.lever) * a_y
     air = 0.5 * AIR_DENSITY * v_x * v_x
@@ -110,12 +111,12 @@ def derivatives(p, u, x, last, rate) -> None:
     last[0], last[1], last[2], last[3] = sum_x / p.m, sum_y / p.m, F_yf, F_yr
     rate[0], rate[1], rate[2] = last[0] + v_y * r, last[1] - v_x * r, turn / p.I_z
     rate[3] = x[4]
-    rate[4] = (p.lever * last[1] - (p.K_phi - GRAVITY * p.lever) * x[3] - p.D_phi * x[4]) / p.J_phi
+    rate[4] = (p.lever * (last[1] + u[G_Y]) - (p.K_phi - GRAVITY * p.lever) * x[3] - p.D_phi * x[4]) / p.J_phi
 
 
 @njit(cache=True)
 def integrate(p, u, v_0: float, dt: float, steps: int, motion) -> None:
-    """Fill motion (time, 9) with v_x, v_y, r, a_x, a_y, dr/dt, the axles' mean wheel speeds and phi; u (time, 10)."""
+    """Fill motion (time, 9) with v_x, v_y, r, a_x, a_y, dr/dt, the axles' mean wheel speeds and phi; u (time, 11)."""
     x, last = np.zeros(STATES), np.zeros(4)
     load_f, load_r = p.l_r / (p.l_f + p.l_r), p.l_f / (p.l_f + p.l_r)
     x[0] = v_0
@@ -221,7 +222,7 @@ class Twin:
         return p[0]
 
     def _inputs(self, plan: Plan, effects: Effects) -> tuple[np.ndarray, float]:
-        """What acts on the car over time (time, 10), and gravity [m/s^2] across a banked road."""
+        """What acts on the car over time (time, 11), and gravity [m/s^2] across a banked road."""
         t, u = plan.t, np.zeros((len(plan.t), INPUTS))
         m = (self.car.m or 0.0) + effects.get("payload", {}).get("mass", 0.0)
         u[:, DELTA] = steered(plan.steering, t, effects, self.gain)
@@ -230,7 +231,7 @@ class Twin:
         grade = np.interp(t, np.linspace(0.0, t[-1], len(knots)), knots)
         grade = grade + effects.get("road_grade", {}).get("angle", 0.0)
         bank = GRAVITY * math.sin(effects.get("road_bank", {}).get("angle", 0.0))
-        u[:, G_X] = GRAVITY * np.sin(grade)
+        u[:, G_X], u[:, G_Y] = GRAVITY * np.sin(grade), bank
         u[:, F_X], u[:, F_Y] = -m * u[:, G_X], -m * bank
         for wind, blows in (("crosswind", np.ones_like(t)), ("gust", None)):
             if effect := effects.get(wind):
