@@ -4,6 +4,8 @@
     .venv/bin/python benchmarks/model_gap.py each 205 75 114      (with none and each of their effects alone, and all)
     .venv/bin/python benchmarks/model_gap.py high 203 3 23 47     (their IMU on the body, at the height of the centre
                                                                   of gravity and above it)
+    .venv/bin/python benchmarks/model_gap.py tyres 208 5 20 32    (without and with parts of the tyres' law; multi-body
+                                                                  cars too)
 
 The twin has other tyres than the tool's model, and wheels whose loads are uneven in a turn. Base parameters and those
 of `tyre_curve`, `combined_slip` and `lateral_load_transfer` are fitted to what its sensors would read, then the
@@ -24,7 +26,7 @@ import numpy as np
 import pandas as pd
 from concealed.actuators_and_sensors import Effects
 from concealed.twin import TRACK, Twin
-from whole_car.cars import WholeCar
+from whole_car.cars import INHERENT, WholeCar
 from whole_car.cases import base_model, driven, ideal_series
 
 from vehicle_sbi.mismatch.estimation.fit import descend
@@ -33,12 +35,19 @@ from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.physics.vehicle import GRAVITY
 
-TYRES = ("tyre_curve", "combined_slip", "lateral_load_transfer")
-INHERENT = tuple(p.name for name in TYRES for p in CATALOGUE[name].parameters)
+EARLY, COMBINED = "tyre_curve.early", "combined_slip.weight"
 FRICTION = "friction_level.factor"
-START = {
-    "tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004, "lateral_load_transfer.track": 1.5,
-    "lateral_load_transfer.period": 0.6, "body_roll.gradient": 0.006, "body_roll.period": 0.6,
+STARTS = {
+    "twin": {
+        "tyre_curve.fullness": 0.9, "lateral_load_transfer.uneven": 0.004, "lateral_load_transfer.track": 1.5,
+        "lateral_load_transfer.period": 0.6, "body_roll.gradient": 0.006, "body_roll.period": 0.6,
+    },
+    "multi-body car": {
+        "tyre_curve.peak": 0.8, "tyre_curve.longitudinal": 0.8, EARLY: 0.2, COMBINED: 0.5,
+        "load_sensitivity.coefficient": 1.0, "relaxation.front": 0.2, "relaxation.rear": 0.2,
+        "body_roll.gradient": 0.012, "body_roll.period": 0.7, "body_pitch.gradient": 0.005, "body_pitch.period": 0.66,
+        "lateral_load_transfer.uneven": 0.006, "lateral_load_transfer.period": 0.6,
+    },
 }  # fmt: skip
 STEPS = 30  # of Gauss-Newton
 HEIGHTS = (0.0, 0.5)  # [m] of an IMU above the centre of gravity
@@ -46,11 +55,16 @@ NONE: Effects = {}
 
 
 def bare(seed: int, index: int, *, on_body: bool = False) -> WholeCar:
-    """The car of a case, its IMU on a level platform or on the body, and nothing missing."""
+    """The twin of a case, its IMU on a level platform or on the body, and nothing missing."""
     car, _ = driven(seed, index)
     if not isinstance(car.world, Twin):
         raise SystemExit(f"error: case {index} is a multi-body car")
-    return replace(car, world=replace(car.world, on_body=on_body))
+    return replace(car, world=replace(car.world, on_body=on_body), world_name="twin")
+
+
+def inherent(car: WholeCar) -> list[str]:
+    """Parameters of the effects that its world has by itself."""
+    return [p.name for name in INHERENT[car.world_name] for p in CATALOGUE[name].parameters]
 
 
 def left(car: WholeCar, names: Sequence[str], effects: Effects = NONE) -> tuple[float, dict[str, float]]:
@@ -61,7 +75,9 @@ def left(car: WholeCar, names: Sequence[str], effects: Effects = NONE) -> tuple[
         raise SystemExit("error: with these effects alone this car cannot be driven so")
     simulator, added = base_model(car, series), [EFFECT_PARAMETERS[name] for name in names]
     space = ParameterSpace((*simulator.space.parameters, *added))
-    values = START | {f"{effect}.{key}": value for effect, held in effects.items() for key, value in held.items()}
+    values = STARTS[car.world_name] | {
+        f"{effect}.{key}": value for effect, held in effects.items() for key, value in held.items()
+    }
     start = [car.base[name] for name in simulator.space.names] + [values.get(p.name, p.null) for p in added]
     freed = replace(simulator, space=space)
     observed = np.where(freed.windows.valid, freed.windows.y, 0.0)
@@ -74,8 +90,8 @@ def left(car: WholeCar, names: Sequence[str], effects: Effects = NONE) -> tuple[
 
 def row(seed: int, index: int) -> dict[str, object]:
     car = bare(seed, index)
-    own, found = left(car, INHERENT)
-    freer, with_friction = left(car, (*INHERENT, FRICTION))
+    own, found = left(car, inherent(car))
+    freer, with_friction = left(car, (*inherent(car), FRICTION))
     return {
         "case": index, "drive": car.given.drive, "peak a_y": round(car.peak, 1), "left": own, "with friction": freer,
         "friction": with_friction[FRICTION], "uneven": found["lateral_load_transfer.uneven"],
@@ -92,8 +108,8 @@ def acting(car: WholeCar) -> Effects:
 
 def told(car: WholeCar, effects: Effects) -> float:
     """What a fit leaves that has the parameters of these effects."""
-    theirs = [p.name for name in effects for p in CATALOGUE[name].parameters if p.name not in INHERENT]
-    return left(car, (*INHERENT, *theirs), effects)[0]
+    theirs = [p.name for name in effects for p in CATALOGUE[name].parameters if p.name not in inherent(car)]
+    return left(car, (*inherent(car), *theirs), effects)[0]
 
 
 def each(seed: int, index: int) -> dict[str, float]:
@@ -108,13 +124,24 @@ def high(seed: int, index: int) -> dict[str, float]:
     car, found = bare(seed, index, on_body=True), {"case": index}
     theirs = [p.name for name in ("body_roll", "imu_lever_arm") for p in CATALOGUE[name].parameters]
     for z in HEIGHTS:
-        ratio, fitted = left(car, (*INHERENT, *theirs), {"imu_lever_arm": {"x": 0.3, "y": 0.1, "z": z}})
+        ratio, fitted = left(car, (*inherent(car), *theirs), {"imu_lever_arm": {"x": 0.3, "y": 0.1, "z": z}})
         told = {"left": ratio, "l_f": fitted.get("l_f", np.nan), "found": fitted["imu_lever_arm.z"]}
         found |= {f"{name}, {z} m high": value for name, value in told.items()}
     return found | {"true l_f": car.base.get("l_f", np.nan)}
 
 
-OTHERS = {"each": each, "high": high}
+def tyres(seed: int, index: int) -> dict[str, object]:
+    """What a fit leaves without and with a tyre that bends early and side forces that feel less of driving, and by
+    which share l_f is off then."""
+    car, _ = driven(seed, index)
+    names, found = inherent(car), {"case": index, "world": car.world_name, "drive": car.given.drive}
+    for label, without in (("neither", (EARLY, COMBINED)), ("early", (COMBINED,)), ("both", ())):
+        ratio, fitted = left(car, [name for name in names if name not in without])
+        found |= {label: ratio, f"l_f, {label}": fitted["l_f"] / car.base["l_f"] - 1.0}
+    return found
+
+
+OTHERS = {"each": each, "high": high, "tyres": tyres}
 
 
 def main(*words: str) -> None:
