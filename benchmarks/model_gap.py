@@ -35,7 +35,7 @@ from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS
 from vehicle_sbi.physics.vehicle import GRAVITY
 
-EARLY, COMBINED = "tyre_curve.early", "combined_slip.weight"
+EARLY, COMBINED, SPRUNG = "tyre_curve.early", "combined_slip.weight", "load_sensitivity.sprung"
 FRICTION = "friction_level.factor"
 STARTS = {
     "twin": {
@@ -44,7 +44,7 @@ STARTS = {
     },
     "multi-body car": {
         "tyre_curve.peak": 0.8, "tyre_curve.longitudinal": 0.8, EARLY: 0.2, COMBINED: 0.5,
-        "load_sensitivity.coefficient": 1.0, "relaxation.front": 0.2, "relaxation.rear": 0.2,
+        "load_sensitivity.coefficient": 1.0, SPRUNG: 0.9, "relaxation.front": 0.2, "relaxation.rear": 0.2,
         "body_roll.gradient": 0.012, "body_roll.period": 0.7, "body_pitch.gradient": 0.005, "body_pitch.period": 0.66,
         "lateral_load_transfer.uneven": 0.006, "lateral_load_transfer.period": 0.6,
     },
@@ -131,11 +131,16 @@ def high(seed: int, index: int) -> dict[str, float]:
 
 
 def tyres(seed: int, index: int) -> dict[str, object]:
-    """What a fit leaves without and with a tyre that bends early and side forces that feel less of driving, and by
-    which share l_f is off then."""
+    """What a fit leaves without and with a tyre that bends early, side forces that feel less of driving and load that
+    moves as the body pitches, and by which share l_f is off then."""
     car, _ = driven(seed, index)
     names, found = inherent(car), {"case": index, "world": car.world_name, "drive": car.given.drive}
-    for label, without in (("neither", (EARLY, COMBINED)), ("early", (COMBINED,)), ("both", ())):
+    for label, without in (
+        ("none", (EARLY, COMBINED, SPRUNG)),
+        ("combined", (EARLY, SPRUNG)),
+        ("and early", (SPRUNG,)),
+        ("all", ()),
+    ):
         ratio, fitted = left(car, [name for name in names if name not in without])
         found |= {label: ratio, f"l_f, {label}": fitted["l_f"] / car.base["l_f"] - 1.0}
     return found

@@ -115,10 +115,14 @@ def downforce(c: Car, v_x: float) -> float:
     return RHO / 2.0 * c["downforce_area"] * v_x**2
 
 
-def axle_loads(c: Car, now: Moment, a_x: float, v_x: float) -> tuple[float, float]:
-    """F_zf, F_zr [N] from the two balances above; every force but gravity and downforce acts at the ground."""
-    N, pressed = weight(c), downforce(c, v_x)
-    tipping = c["h_cog"] * mass(c) * (a_x + now.g_x)
+def axle_loads(c: Car, now: Moment, a_x: float, state: np.ndarray) -> tuple[float, float]:
+    """F_zf, F_zr [N] from the two balances above; every force but gravity and downforce acts at the ground. What goes
+    through springs and dampers between the axles is theirs at the time."""
+    N, pressed = weight(c), downforce(c, state[0])
+    stiffness, damping = pitching_body(c)
+    borne = state[13] + damping / stiffness * state[14]
+    felt = (1.0 - c["load_sensitivity_sprung"]) * (a_x + now.g_x) + c["load_sensitivity_sprung"] * borne
+    tipping = c["h_cog"] * mass(c) * felt
     F_zf = (N * axles(c)[1] - tipping) / c["L"]
     return F_zf + c["downforce_front_share"] * pressed, N - F_zf + (1.0 - c["downforce_front_share"]) * pressed
 
@@ -211,16 +215,16 @@ def implied_pulls(
     c: Car, now: Moment, v_x: float, delta: float, a_x: float, side: Callable[[float], float]
 ) -> tuple[float, float]:
     """Longitudinal forces of the axles [N] in their wheels' directions that an acceleration implies, with the front
-    one's side force [N], a function of its longitudinal one; that axle's is iterated until it moves by 1e-10 N."""
-    front = total = 0.0
-    for _ in range(200):
+    one's side force [N], a function of its longitudinal one."""
+
+    def implied(front: float) -> tuple[float, float]:
         total = mass(c) * a_x + side(front) * math.sin(delta) - outer_forces(c, now, v_x)[0]
         share = c["drive_front"] if total > 0.0 else np.clip(c["brake_front"] + c["brake_balance_shift"], 0.0, 1.0)
         total /= share * math.cos(delta) + 1.0 - share
-        front, before = float(share * total), front
-        if abs(front - before) < 1e-10:
-            break
-    return front, float(total - front)
+        return float(share * total), float((1.0 - share) * total)
+
+    most = 1e3 * G * mass(c)
+    return implied(root(lambda front: implied(front)[0] - front, -most, most))
 
 
 def effective_radius(c: Car, F_z: float, axle: str) -> float:
@@ -268,7 +272,7 @@ def slips(c: Car, state: np.ndarray, delta: float, loads: tuple[float, float]) -
 def tyre_forces(c: Car, now: Moment, drive: str, state: np.ndarray, delta: float, a: tuple[float, float]) -> Forces:
     """The forces if the front wheels stand at delta and the car accelerates with a (x, y)."""
     a_x, a_y = a
-    loads = axle_loads(c, now, a_x, state[0])
+    loads = axle_loads(c, now, a_x, state)
     kappas = (0.0, 0.0) if drive == "speed" else slips(c, state, delta, loads)
     lagging = [sigma > 0.0 for sigma in relaxation_lengths(c)]
     lagged, alphas = np.reshape(state[7:11], (2, 2)).T, slip_angles(c, state, delta)
@@ -322,6 +326,12 @@ def leaning_body(c: Car) -> tuple[float, float]:
         return 0.0, 0.0
     w = 2.0 * math.pi / c["lateral_load_transfer_period"]
     return w**2, 2.0 * c["lateral_load_transfer_damping"] * w
+
+
+def pitching_body(c: Car) -> tuple[float, float]:
+    """The same of y'' + 2 damping w y' + w^2 y = w^2 (a_x + g_x)."""
+    w = 2.0 * math.pi / c["load_sensitivity_period"]
+    return w**2, 2.0 * c["load_sensitivity_damping"] * w
 
 
 def moved_by(c: Car, state: np.ndarray, a_y: float) -> float:
@@ -395,7 +405,7 @@ def steered(c: Car, now: Moment, drive: str, state: np.ndarray, command: float, 
     coefficient = c["steering_compliance_coefficient"]
     if coefficient == 0.0:
         return straight
-    most = coefficient * 3.0 * (abs(axle_loads(c, now, a[0], state[0])[0]) + 1.0)  # no friction coefficient reaches 3
+    most = coefficient * 3.0 * (abs(axle_loads(c, now, a[0], state)[0]) + 1.0)  # no friction coefficient reaches 3
 
     def excess(delta: float) -> float:
         return delta - straight + coefficient * tyre_forces(c, now, drive, state, delta, a).y_f
@@ -438,8 +448,8 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     if c["lateral_load_transfer_uneven"] != 0.0 or c["lateral_load_transfer_coefficient"] != 0.0:
         a_y = float(newton(excess, a_y, tol=1e-12))
     (a_x, delta, F, sideways_f), (l_f, l_r) = under(a_y), axles(c)
-    loads, a_y = axle_loads(c, now, a_x, v_x), (sideways_f + F.y_r + y) / mass(c)
-    out = np.zeros(13)
+    loads, a_y = axle_loads(c, now, a_x, state), (sideways_f + F.y_r + y) / mass(c)
+    out = np.zeros(15)
     turn += F.turn + c["lateral_cog_y"] * (F.x_f * math.cos(delta) - F.y_f * math.sin(delta) + F.x_r)
     out[:3] = (
         a_x + v_y * r,
@@ -456,7 +466,9 @@ def rates(c: Car, drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
     out[5:11] = lag * (without_lag - state[5:11])
     stiffness, damping = leaning_body(c)
     if stiffness > 0.0:
-        out[11:] = state[12], stiffness * (a_y + downhill(c) - state[11]) - damping * state[12]
+        out[11:13] = state[12], stiffness * (a_y + downhill(c) - state[11]) - damping * state[12]
+    stiffness, damping = pitching_body(c)
+    out[13:] = state[14], stiffness * (a_x + now.g_x - state[13]) - damping * state[14]
     return out
 
 
@@ -475,8 +487,8 @@ def impose(drive: str, state: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def start(c: Car, drive: str, u: np.ndarray, initial: np.ndarray) -> np.ndarray:
     """Wheels rolling freely on their static load (or as recorded), lagged slips equal to the slips, the body leaning as
-    in a steady turn."""
-    state, (l_f, l_r) = np.zeros(13), axles(c)
+    in a steady turn and pitching as it is pushed."""
+    state, (l_f, l_r) = np.zeros(15), axles(c)
     state[:3] = initial
     static = weight(c) * l_r / c["L"], weight(c) * l_f / c["L"]
     R_f, R_r = effective_radius(c, static[0], "front"), effective_radius(c, static[1], "rear")
@@ -485,6 +497,8 @@ def start(c: Car, drive: str, u: np.ndarray, initial: np.ndarray) -> np.ndarray:
     kappa = (0.0, 0.0) if drive == "speed" else slips(c, state, u[0], static)
     state[5:11] = *kappa, *np.transpose(slip_angles(c, state, u[0])).flat
     state[11] = initial[0] * initial[2] + downhill(c)
+    pushed = u[4] - initial[1] * initial[2] if drive == "speed" else (u[1] + u[2]) / (c["R_f"] * mass(c))
+    state[13] = pushed + gravity_along(c, u[7])
     return state
 
 

@@ -241,19 +241,24 @@ def test_every_drive_mode_agrees_with_solve_ivp(drive: str, car: object) -> None
 LEANING = {"lateral_load_transfer_uneven": 0.006, "lateral_load_transfer_period": 0.6}
 
 
-def test_a_body_that_leans_late_agrees_with_solve_ivp() -> None:
-    # As above; the steering is quick and large enough for the inner wheel to slide, so how load moves matters.
+PITCHING = {"load_sensitivity_coefficient": 0.8, "load_sensitivity_sprung": 0.9, "load_sensitivity_period": 0.6}
+
+
+@pytest.mark.parametrize(
+    ("late", "null"),
+    [(LEANING, {"lateral_load_transfer_period": 0.0}), (PITCHING, {"load_sensitivity_sprung": 0.0})],
+)
+def test_a_body_that_moves_load_late_agrees_with_solve_ivp(late: dict[str, float], null: dict[str, float]) -> None:
+    # As above; the steering is quick and large enough for the inner wheel to slide, so how load moves matters, by more
+    # than a thousand times what the integrator leaves.
     u, initial = smooth_inputs(0.3), np.array([10.5, 0.1, 0.02])
     u[:, 0] *= 3.0
-    records = record_of(PAPER, **LEANING)
+    records = record_of(PAPER, **late)
     truth = as_measured(reference.integrate(reference.car_of(records[0]), "speed", u, RATE, initial))
-    y, at_once = (
-        finished(one, "speed", u, initial, substeps=16)
-        for one in (records, record_of(PAPER, **LEANING | {"lateral_load_transfer_period": 0.0}))
-    )
+    y, at_once = (finished(one, "speed", u, initial, substeps=16) for one in (records, record_of(PAPER, **late | null)))
     scale = np.abs(truth[:3]).max(axis=1, keepdims=True)
     assert (np.abs(y[:3] - truth[:3]) / scale).max() < 2e-7
-    assert (np.abs(at_once[:3] - y[:3]) / scale).max() > 1e-3
+    assert (np.abs(at_once[:3] - y[:3]) / scale).max() > 2e-4
 
 
 @pytest.mark.parametrize("drive", DRIVES)
@@ -285,6 +290,17 @@ def test_in_a_steady_turn_it_does_not_matter_how_late_load_moves() -> None:
         for period in (0.6, 0.0)
     )
     assert late[:3, -1] == pytest.approx(at_once[:3, -1], rel=1e-8)
+
+
+def test_under_a_steady_thrust_it_does_not_matter_how_late_load_moves() -> None:
+    # As above, exp(-31); the car turns at a constant 2 m/s^2 along it, whose load an axle's stiffness grows with.
+    u = smooth_inputs(10.0)
+    u[:, 0], u[:, 3], u[:, 4] = 0.02, 10.5 + 2.0 * u[:, 7], 2.0
+    late, at_once = (
+        finished(record_of(PAPER, **PITCHING | {"load_sensitivity_sprung": sprung}), "speed", u, (10.5, 0.0, 0.0))
+        for sprung in (0.9, 0.0)
+    )
+    assert late[:3, -1] == pytest.approx(at_once[:3, -1], rel=1e-4)
 
 
 def test_a_period_too_short_for_the_integrator_answers_as_itself_to_second_order() -> None:
@@ -339,7 +355,7 @@ def random_drive(rng: np.random.Generator, relaxed: bool) -> tuple[np.ndarray, n
     if not records["lateral_load_transfer_track"][0]:
         angles = np.tile(angles[:2], 2)  # both wheels of an axle have the same
     records["lateral_load_transfer_period"] += 0.1  # as it is for a step of 5 ms
-    lean = rng.uniform(-8.0, 8.0, 2)
+    lean = rng.uniform(-8.0, 8.0, 4)
     state = np.array([v_x, *rng.uniform(-0.5, 0.5, 2), *wheel, *slips, *angles, *lean])
     records["duration"], t = rng.uniform(3.0, 10.0), rng.uniform(0.0, 12.0)
     u = np.array([rng.uniform(-0.3, 0.3), *rng.uniform(-2000, 2000, 2), v_x, rng.uniform(-3, 3), *wheel, t, 0.0])
@@ -386,7 +402,7 @@ def test_free_wheels_roll_in_their_own_plane() -> None:
     # effective radius at the static load; the same double-precision products in another order.
     u, c = smooth_inputs(), reference.car_of(record_of(PAPER)[0])
     y = finished(record_of(PAPER), "speed", u, (10.5, 0.1, 0.02))
-    F_zf, F_zr = reference.axle_loads(c, reference.at(c, 0.0), 0.0, 0.0)
+    F_zf, F_zr = reference.axle_loads(c, reference.at(c, 0.0), 0.0, np.zeros(STATES))
     R_f, R_r = reference.effective_radius(c, F_zf, "front"), reference.effective_radius(c, F_zr, "rear")
     states = y[[V_X, V_Y, R]].T
     along = [reference.wheel_plane_speed(c, x, delta) for x, delta in zip(states, u[:, 0], strict=True)]

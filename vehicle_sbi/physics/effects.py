@@ -25,6 +25,7 @@ LEAST_STIFFNESS = 0.05  # share of a stiffness that no load and no acceleration 
 LEAST_LAG = 0.5  # of the way that a wheel rolls in a step of the integrator, the least length that lags as it is
 MOST_GRIP = 0.99  # share of the grip that a given longitudinal force takes, at most
 ROLL_DAMPING = 0.3  # damping ratio with which a passenger car's body leans, where none is found
+PITCH_PERIOD, PITCH_DAMPING = 0.7, 0.3  # [s] and ratio with which it pitches, alike
 SPRINGS_BEAR = 0.75  # of what a turn moves across, with their dampers, as in the paper's car; roll centres the rest
 LEAST_SWING = 4.0  # steps of the integrator, the least natural period that swings as it is
 REPORTED = (
@@ -168,9 +169,14 @@ CATALOGUE: Mapping[str, Effect] = {
         _effect("friction_step", "tyre", "another friction coefficient for a while",
                 "mu = factor mu_vehicle from start on for duration", "Dugoff's mu",
                 factor=("1", 0.3, 1.3, 1.0), start=("s", 0.0, 5.0, 0.0), duration=("s", 0.0, 5.0, 0.0)),
-        _effect("load_sensitivity", "tyre", "stiffnesses grow with the vertical load",
-                "C = C_static (1 + coefficient (F_z / F_z,static - 1))", f"{PACEJKA}, ch. 1",
-                coefficient=("1", 0.0, 1.0, 0.0)),
+        _effect("load_sensitivity", "tyre",
+                "stiffnesses grow with the vertical load, part of which moves between the axles as the body pitches",
+                "C = C_static (1 + coefficient (F_z / F_z,static - 1)), of F_z a part (m h_cog / L) w follows a_x, "
+                "w = (1 - sprung) a_x + sprung (y + 2 damping T dy/dt), T = period/(2 pi), T^2 d2y/dt2 + 2 damping T "
+                "dy/dt = a_x - y (the full vehicle has its own springs)",
+                f"{PACEJKA}, ch. 1; {RAJAMANI}, ch. 10", coefficient=("1", 0.0, 1.0, 0.0),
+                sprung=("1", 0.0, 1.0, 0.0), period=("s", 0.4, 1.2, PITCH_PERIOD),
+                damping=("1", 0.1, 0.8, PITCH_DAMPING)),
         _effect("lateral_load_transfer", "tyre",
                 "an axle loses cornering stiffness, and its inner wheel slides first, as load moves to the outer one",
                 "C_alpha = C_alpha,straight (1 - coefficient w^2), F_axle = F((F_z + S)/2) + F((F_z - S)/2) of "
@@ -603,6 +609,18 @@ def lateral_load_transfer(p, a_y: float) -> float:
 def lean_period(p) -> float:
     """Natural period [s] over 2 pi of the lean that moves load across, LEAST_SWING steps of the integrator at least."""
     return max(p.lateral_load_transfer_period, LEAST_SWING * p.step) / (2.0 * math.pi)
+
+
+@compiled
+def pitch_period(p) -> float:
+    """The same of the pitch that moves load between the axles."""
+    return max(p.load_sensitivity_period, LEAST_SWING * p.step) / (2.0 * math.pi)
+
+
+@compiled
+def pitches(p) -> bool:
+    """Whether load moves between the axles as the body pitches."""
+    return p.load_sensitivity_sprung != 0.0
 
 
 @compiled

@@ -7,9 +7,9 @@
     dkappa^/dt          = |v_x|/sigma (kappa - kappa^), and alpha^ alike  (the paper's equations 1 to 11)
 
 States: v_x, v_y [m/s], r [rad/s], omega_f, omega_r [rad/s], the lagged slips (angles of right and left wheels), and
-the lean of the body with its rate, in units of the lateral acceleration that it stands for [m/s^2]. A drive mode says
-what is given and what is solved for: TORQUE integrates all of it, WHEEL_SPEED takes the measured wheel speeds, SPEED
-the measured v_x and leaves only the lateral equations.
+the lean of the body and its pitch with their rates, in units of the acceleration that they stand for [m/s^2]. A drive
+mode says what is given and what is solved for: TORQUE integrates all of it, WHEEL_SPEED takes the measured wheel
+speeds, SPEED the measured v_x and leaves only the lateral equations.
 """
 
 import math
@@ -27,7 +27,10 @@ from vehicle_sbi.physics.effects import (
     lean_share,
     leans,
     moves_load_across,
+    pitch_period,
+    pitches,
     road_bank,
+    road_grade,
     wheels_differ,
 )
 from vehicle_sbi.physics.tyre import effective_radius, grips
@@ -41,10 +44,11 @@ INPUTS = (
 DELTA, T_F, T_R, U_V_X, U_V_X_DOT, U_OMEGA_F, U_OMEGA_R, TIME, U_LATENT = range(len(INPUTS))
 COMMANDS = INPUTS[:3]  # what a driver or an actuator is told
 
-STATES = 13
-V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_FR, ALPHA_RR, ALPHA_FL, ALPHA_RL, LEAN, LEANING = range(STATES)
+STATES = 15
+V_X, V_Y, R, OMEGA_F, OMEGA_R, KAPPA_F, KAPPA_R, ALPHA_FR, ALPHA_RR, ALPHA_FL, ALPHA_RL = range(STATES - 4)
+LEAN, LEANING, PITCH, PITCHING = range(STATES - 4, STATES)
 WHEELS, OMEGA, KAPPA = 2, OMEGA_F, KAPPA_F  # one an axle, and the first of their states
-ALIKE = 9  # of these states a car has whose wheels are alike
+ALIKE, LEVEL = ALPHA_FL, PITCH  # of these states a car has whose wheels are alike, and one whose body does not pitch
 
 STEEPEST = 1.5  # [rad], the largest slip angle whose tangent is taken
 
@@ -120,6 +124,8 @@ class Car(NamedTuple):
     tan_r: Wheels
     at_once: float  # share of what a turn moves across that follows its acceleration at once
     leant: float  # acceleration [m/s^2] that the rest of it has followed
+    ahead_at_once: float  # the same of what braking moves between the axles
+    pitched: float
 
 
 class Rolling(NamedTuple):
@@ -152,7 +158,7 @@ class Forces(NamedTuple):
 @compiled
 def loads(p, car: Car, a_x: float) -> tuple[float, float]:
     """Loads [N] of the front and rear axle under an acceleration a_x [m/s^2]."""
-    shift = p.load_transfer * (a_x + car.outside.g_x)
+    shift = p.load_transfer * (car.ahead_at_once * (a_x + car.outside.g_x) + car.pitched)
     return p.F_zf_static - shift + car.outside.press_f, p.F_zr_static + shift + car.outside.press_r
 
 
@@ -257,6 +263,12 @@ def damping(p) -> float:
 
 
 @compiled
+def pitch_damping(p) -> float:
+    """The same of the pitch."""
+    return 2.0 * p.load_sensitivity_damping * pitch_period(p)
+
+
+@compiled
 def ground(_, state, __: int) -> float:
     """Speed [m/s] of the car above a wheel."""
     return state[V_X]
@@ -271,12 +283,14 @@ def turns_unevenly(p) -> bool:
 @compiled
 def states(p) -> int:
     """How many of the states, the first ones, change anything."""
-    return STATES if turns_unevenly(p) else ALIKE
+    if pitches(p):
+        return STATES
+    return LEVEL if turns_unevenly(p) else ALIKE
 
 
 @compiled
 def derivatives(p, drive: int, u, state, rate) -> None:
-    """Fill rate (13,) with d(state)/dt of the states that change anything.
+    """Fill rate (15,) with d(state)/dt of the states that change anything.
 
     What of v_x and v_y it has on entry is where the loop between loads and forces starts.
     """
@@ -285,11 +299,14 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     share_f, share_r = lag_share(p, p.sigma_f, speed), lag_share(p, p.sigma_r, speed)
     moving_f, moving_r = moving(p, v_yf, speed, r), moving(p, v_y - p.l_rear * r, speed, r)
     alpha_f, alpha_r = Wheels(state[ALPHA_FR], state[ALPHA_FR]), Wheels(state[ALPHA_RR], state[ALPHA_RR])
-    uneven, leaning, leant = turns_unevenly(p), 0.0, 0.0
-    if uneven:
+    changing, leaning, leant, pitching, pitched = states(p), 0.0, 0.0, 0.0, 0.0
+    if changing > ALIKE:
         alpha_f, alpha_r = Wheels(alpha_f.right, state[ALPHA_FL]), Wheels(alpha_r.right, state[ALPHA_RL])
         leaning = lean_share(p)
         leant = leaning * (state[LEAN] + damping(p) * state[LEANING])
+    if changing > LEVEL:
+        pitching = p.load_sensitivity_sprung
+        pitched = pitching * (state[PITCH] + pitch_damping(p) * state[PITCHING])
     given = u[U_V_X_DOT] if drive == SPEED else rate[V_X]
     out = outside(p, u[DELTA], v_x, r, u[TIME], u[U_LATENT])
     car = Car(
@@ -309,6 +326,8 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         tan_r=tangents(mixed_angles(share_r, alpha_r, 0.0, moving_r)),
         at_once=1.0 - leaning,
         leant=leant,
+        ahead_at_once=1.0 - pitching,
+        pitched=pitched,
     )
     found, front, a_x, _ = settled(forces, p, car, given - v_y * r, rate[V_Y] + v_x * r)
     F_zf, F_zr = loads(p, car, a_x)
@@ -326,21 +345,22 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     rate[KAPPA_R] = fade_r * (rolls.kappa_r + found.beyond_r - state[KAPPA_R])
     rate[ALPHA_FR] = fade_f * (front.delta - moving_f.right - alpha_f.right)
     rate[ALPHA_RR] = fade_r * (-moving_r.right - alpha_r.right)
-    if uneven:
+    if changing > ALIKE:
         rate[ALPHA_FL] = fade_f * (front.delta - moving_f.left - alpha_f.left)
         rate[ALPHA_RL] = fade_r * (-moving_r.left - alpha_r.left)
-        lean(p, leaning, rate[V_Y] + v_x * r + road_bank(p), state, rate)
+        rate[LEAN] = rate[LEANING] = 0.0
+        if leaning > 0.0:
+            swing(LEAN, lean_period(p), damping(p), rate[V_Y] + v_x * r + road_bank(p), state, rate)
+    if changing > LEVEL:
+        swing(PITCH, pitch_period(p), pitch_damping(p), a_x + out.g_x, state, rate)
 
 
 @compiled
-def lean(p, share: float, a_y: float, state, rate) -> None:
-    """Fill d/dt of the body's lean and of its rate if a share of the load moves with it; a_y [m/s^2] is what the body
-    feels."""
-    rate[LEAN] = rate[LEANING] = 0.0
-    if share > 0.0:
-        T = lean_period(p)
-        rate[LEAN] = state[LEANING]
-        rate[LEANING] = (a_y - state[LEAN] - damping(p) * state[LEANING]) / (T * T)
+def swing(angle: int, T: float, damped: float, felt: float, state, rate) -> None:
+    """Fill d/dt of the body's lean or pitch and of its rate, of the period 2 pi T [s], under the acceleration [m/s^2]
+    that it feels."""
+    rate[angle] = state[angle + 1]
+    rate[angle + 1] = (felt - state[angle] - damped * state[angle + 1]) / (T * T)
 
 
 @compiled
@@ -361,6 +381,8 @@ def start(p, drive: int, u, initial, state) -> None:
     settled."""
     state[V_X], state[V_Y], state[R] = initial[0], initial[1], initial[2]
     state[LEAN], state[LEANING] = initial[0] * initial[2] + road_bank(p), 0.0
+    pushed = u[U_V_X_DOT] - initial[1] * initial[2] if drive == SPEED else (u[T_F] + u[T_R]) / (p.R_f * p.mass)
+    state[PITCH], state[PITCHING] = pushed + road_grade(p, u[TIME]), 0.0
     v_wheel_f = contact_speed(p, u[DELTA], state[V_X], state[V_Y], state[R])
     R_f, R_r = rolling_radii(p)
     state[OMEGA_F], state[OMEGA_R] = v_wheel_f / R_f, state[V_X] / R_r

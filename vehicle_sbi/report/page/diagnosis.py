@@ -47,6 +47,9 @@ CLAUSES = {  # what the name of a size leaves open
     "lateral_load_transfer.uneven": "square of the share of an axle's load that moves to its outer wheel, per m/s^2",
     "lateral_load_transfer.period": "with which the body leans, and load moves",
     "lateral_load_transfer.damping": "ratio with which the body leans, and load moves",
+    "load_sensitivity.sprung": "share of what braking moves between the axles that comes as the body pitches",
+    "load_sensitivity.period": "with which the body pitches, and load moves",
+    "load_sensitivity.damping": "ratio with which the body pitches, and load moves",
     "payload.x": "ahead of the empty car's centre of gravity",
 }
 GROUPS = {group: f"sensors of the mapping's group {group}" for group in ("can", "wheel_speed")}
