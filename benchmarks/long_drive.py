@@ -10,7 +10,8 @@ from vehicle_sbi.data.noise import ConstantNoise
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.directions import responses
 from vehicle_sbi.inference.setup import Setup
-from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, nominal_record
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
+from vehicle_sbi.physics.record import nominal_record
 from vehicle_sbi.physics.single_track import COMMANDS, INPUTS
 from vehicle_sbi.physics.vehicle import read
 

@@ -27,7 +27,7 @@ from vehiclemodels.parameters_vehicle1 import parameters_vehicle1
 from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 from vehiclemodels.parameters_vehicle3 import parameters_vehicle3
 
-from vehicle_sbi.physics.effects import RECORD, nominal_record
+from vehicle_sbi.physics.record import RECORD, nominal_record
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, tilted
 from vehicle_sbi.physics.simulation import FINISHED, Motions, batch_simulator, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS

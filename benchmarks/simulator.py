@@ -85,7 +85,7 @@ def inputs() -> np.ndarray:
 
 def records(rng: np.random.Generator) -> np.ndarray:
     """The paper's car with its six parameters drawn from the prior of Table II."""
-    from vehicle_sbi.physics.effects import nominal_record
+    from vehicle_sbi.physics.record import nominal_record
     from vehicle_sbi.physics.vehicle import read
 
     nominal = nominal_record(read("conf/vehicle/paper.yaml"))

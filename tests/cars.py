@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 
-from vehicle_sbi.physics.effects import RECORD, derive, nominal_record
+from vehicle_sbi.physics.record import RECORD, derive, nominal_record
 from vehicle_sbi.physics.sensors import GROUPS, MEASUREMENTS, MOTION
 from vehicle_sbi.physics.simulation import FINISHED, MODELS, Motions, batch_simulator, drive_through
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS, TIME, U_LATENT

@@ -11,7 +11,7 @@ from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise, Mixture,
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.physics.effects import nominal_record
+from vehicle_sbi.physics.record import nominal_record
 from vehicle_sbi.rng import Stream, generator
 
 QUIET = DrawnProcessNoise(Mixture(np.zeros(0), np.zeros(0)), Mixture(np.zeros(0), np.zeros(0)), False)

@@ -28,13 +28,11 @@ def test_the_page_s_example_passes_the_contract(tmp_path: Path) -> None:
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     blocks = BLOCK.findall((ROOT / "docs" / "add_an_effect.md").read_text())
     assert [kind for kind, _ in blocks] == ["python", "diff", "diff"]
-    function, *changes = (block for _, block in blocks)
-    source = tmp_path / "vehicle_sbi" / "physics" / "effects.py"
+    function, entry, call = (block for _, block in blocks)
+    catalogue, stage = (tmp_path / "vehicle_sbi" / "physics" / f"{name}.py" for name in ("effects", "body_forces"))
     before = "@compiled\ndef body_load"
-    text = source.read_text().replace(before, f"{function}\n\n{before}")
-    for change in changes:
-        text = applied(text, change)
-    source.write_text(text)
+    catalogue.write_text(applied(catalogue.read_text(), entry))
+    stage.write_text(applied(stage.read_text().replace(before, f"{function}\n\n{before}"), call))
     name = re.search(r"-k (\w+)", (ROOT / "docs" / "add_an_effect.md").read_text())
     assert name is not None
     run = subprocess.run(

@@ -7,7 +7,7 @@ from test_single_effects import EPS, derived
 
 from vehicle_sbi.physics.axle import EQUAL, MOST, Slips, Tyres, axle_force, axle_side_force
 from vehicle_sbi.physics.balance import WHOLE
-from vehicle_sbi.physics.effects import tyre_force
+from vehicle_sbi.physics.tyre_effects import tyre_force
 
 F_Z, C = 6e3, 8e4  # load [N] and stiffness [N, N/rad] of the axle, at a friction coefficient of 1
 

@@ -5,7 +5,7 @@ import pytest
 from cars import PAPER, RATE, exciting, rate_of, record_of
 
 from vehicle_sbi.physics.balance import LEAST_ANSWER, Unknowns, corrected, plain, plus, times
-from vehicle_sbi.physics.effects import OWN, derive
+from vehicle_sbi.physics.record import OWN, derive
 from vehicle_sbi.physics.simulation import MODELS
 from vehicle_sbi.physics.single_track import DRIVES
 

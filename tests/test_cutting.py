@@ -8,7 +8,7 @@ from made_up import RATE, in_windows, recording
 from vehicle_sbi.data.cutting import REMEMBERED_S
 from vehicle_sbi.data.recording import Recording
 from vehicle_sbi.errors import InputError
-from vehicle_sbi.physics.effects import steer
+from vehicle_sbi.physics.commands import steer
 from vehicle_sbi.physics.single_track import COMMANDS, INPUTS
 
 

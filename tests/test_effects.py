@@ -10,15 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vehicle_sbi.parameters import Parameter, ParameterSpace
-from vehicle_sbi.physics.effects import (
-    CATALOGUE,
-    EFFECT_PARAMETERS,
-    RECORD,
-    Effect,
-    body_load,
-    derive,
-    nominal_record,
-)
+from vehicle_sbi.physics.body_forces import body_load
+from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS, Effect
+from vehicle_sbi.physics.record import RECORD, derive, nominal_record
 from vehicle_sbi.physics.sensors import MOTION
 from vehicle_sbi.physics.simulation import FINISHED, MODELS, NOT_FINITE, SPUN_OUT, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES

@@ -23,7 +23,7 @@ from vehicle_sbi.files import sha256
 from vehicle_sbi.inference.prior import KNOWN
 from vehicle_sbi.mismatch.answer.schema import Verdict
 from vehicle_sbi.parameters import ParameterSpace
-from vehicle_sbi.physics.effects import derive, nominal_record
+from vehicle_sbi.physics.record import derive, nominal_record
 from vehicle_sbi.physics.vehicle import GRAVITY
 from vehicle_sbi.report import manifest as manifests
 from vehicle_sbi.report.export.export import FORMATS, export

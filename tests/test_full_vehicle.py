@@ -24,8 +24,9 @@ from hypothesis import strategies as st
 from reference_single_track import car_of
 
 from vehicle_sbi.parameters import Parameter
-from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, derive
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 from vehicle_sbi.physics.full_vehicle import PITCH, PITCH_RATE, ROLL, ROLL_RATE, STATES, WHEELS, loads
+from vehicle_sbi.physics.record import derive
 from vehicle_sbi.physics.sensors import MOTION, tilted
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, GENERIC_PRIORS, Vehicle

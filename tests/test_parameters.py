@@ -7,7 +7,7 @@ from cars import PAPER
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.parameters import Parameter, ParameterSpace
-from vehicle_sbi.physics.effects import RECORD, nominal_record
+from vehicle_sbi.physics.record import RECORD, nominal_record
 
 SPACE = parameter_space(
     {"delta_C_kappa": [-0.2, 0.5], "l_f": [1.0, 1.5], "aero_drag": {"area": [0.0, 1.5]}},

@@ -37,7 +37,7 @@ from vehicle_sbi.inference.informative import (
 from vehicle_sbi.inference.setup import substeps
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.inference.study import MOST_READINGS
-from vehicle_sbi.physics.effects import nominal_record
+from vehicle_sbi.physics.record import nominal_record
 from vehicle_sbi.physics.single_track import INPUTS
 
 MIDDLE = np.array([1.25, 0.05, -0.1])

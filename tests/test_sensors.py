@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lsim
 from scipy.spatial.transform import Rotation
 
-from vehicle_sbi.physics.effects import derive
+from vehicle_sbi.physics.record import derive
 from vehicle_sbi.physics.sensors import (
     GROUPS,
     MEASUREMENTS,

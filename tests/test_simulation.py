@@ -29,7 +29,7 @@ from hypothesis import strategies as st
 
 from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.balance import LOAD_TOLERANCE
-from vehicle_sbi.physics.effects import derive
+from vehicle_sbi.physics.record import derive
 from vehicle_sbi.physics.simulation import (
     MODELS,
     NOT_FINITE,

@@ -9,21 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from vehicle_sbi.physics.effects import (
-    KNOTS,
-    derive,
-    downforce,
-    gust,
-    road_grade,
-    steer,
-    torques,
-    tyre_force,
-)
-from vehicle_sbi.physics.effects import side_force as beside_given
+from vehicle_sbi.physics.body_forces import downforce, gust, road_grade
+from vehicle_sbi.physics.commands import steer, torques
+from vehicle_sbi.physics.effects import KNOTS
+from vehicle_sbi.physics.record import derive
 from vehicle_sbi.physics.sensors import MOTION
 from vehicle_sbi.physics.signals import EDGE, interpolate
 from vehicle_sbi.physics.simulation import MODELS
 from vehicle_sbi.physics.single_track import INPUTS
+from vehicle_sbi.physics.tyre_effects import side_force as beside_given
+from vehicle_sbi.physics.tyre_effects import tyre_force
 
 EPS = np.finfo(float).eps
 G, RHO = 9.81, 1.225

@@ -29,11 +29,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vehicle_sbi.parameters import Parameter
-from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, SPRINGS_BEAR, derive, lean_period, lean_share
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, SPRINGS_BEAR
+from vehicle_sbi.physics.record import derive
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 from vehicle_sbi.physics.simulation import FINISHED, substeps_for
 from vehicle_sbi.physics.single_track import ALPHA_FL, ALPHA_FR, DRIVES, INPUTS, STATES, start, states
 from vehicle_sbi.physics.tyre import dugoff_side
+from vehicle_sbi.physics.tyre_effects import lean_period, lean_share
 from vehicle_sbi.physics.vehicle import GENERIC_PRIORS
 
 A_X, A_Y, R, OMEGA_F, OMEGA_R, V_X, V_Y = range(7)  # of the rows of MEASUREMENTS

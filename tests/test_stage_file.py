@@ -24,7 +24,8 @@ from vehicle_sbi.mismatch.hypotheses.discrepancy import Remainder
 from vehicle_sbi.mismatch.hypotheses.regressor import targets
 from vehicle_sbi.mismatch.selection.detection import Examined, Place
 from vehicle_sbi.parameters import Parameter
-from vehicle_sbi.physics.effects import CATALOGUE, RECORD
+from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.physics.record import RECORD
 from vehicle_sbi.report import stage_file
 from vehicle_sbi.report.stage_file import StageFileError, dataclasses_in, read
 

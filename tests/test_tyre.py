@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference_single_track import dugoff as printed_dugoff
 
-from vehicle_sbi.physics.effects import derive
+from vehicle_sbi.physics.record import derive
 from vehicle_sbi.physics.tyre import dugoff, effective_radius, grips
 
 EPS = np.finfo(float).eps

@@ -11,7 +11,8 @@ from cars import PAPER
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.parameters import ParameterSpace
-from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, nominal_record
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
+from vehicle_sbi.physics.record import nominal_record
 from vehicle_sbi.physics.vehicle import BODY_PRIORS, CONSTANTS, GENERIC_PRIORS, IMU_PLACE, MAY_BE_ZERO, Vehicle, read
 
 

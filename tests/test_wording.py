@@ -24,7 +24,8 @@ from vehicle_sbi.mismatch.answer.wording import (
 from vehicle_sbi.mismatch.estimation.estimate import Estimate
 from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.selection.score_test import DRAWS
-from vehicle_sbi.physics.effects import EFFECT_PARAMETERS, nominal_record
+from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
+from vehicle_sbi.physics.record import nominal_record
 from vehicle_sbi.words import enumerated
 
 HALF = Estimate(0.5, 0.1, 0.4, 0.6, "1")

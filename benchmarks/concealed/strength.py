@@ -20,7 +20,7 @@ from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.prior import parameter_space
 from vehicle_sbi.inference.simulator import Simulator
-from vehicle_sbi.physics.effects import nominal_record
+from vehicle_sbi.physics.record import nominal_record
 from vehicle_sbi.physics.simulation import substeps_for
 from vehicle_sbi.physics.single_track import INPUTS
 from vehicle_sbi.physics.vehicle import Vehicle

@@ -15,7 +15,7 @@ from vehicle_sbi.data.noise import DrawnProcessNoise, MeasurementNoise, Mixture
 from vehicle_sbi.data.windows import Windows
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import ParameterSpace
-from vehicle_sbi.physics.effects import nominal_record
+from vehicle_sbi.physics.record import nominal_record
 from vehicle_sbi.physics.sensors import MEASUREMENTS
 from vehicle_sbi.physics.simulation import substeps_for
 from vehicle_sbi.physics.single_track import COMMANDS, INPUTS

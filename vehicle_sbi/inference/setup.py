@@ -21,7 +21,7 @@ from vehicle_sbi.inference.information import best_fit
 from vehicle_sbi.inference.prior import parameter_space, typical
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import ParameterSpace
-from vehicle_sbi.physics.effects import nominal_record
+from vehicle_sbi.physics.record import nominal_record
 from vehicle_sbi.physics.sensors import BODY_MEASUREMENTS
 from vehicle_sbi.physics.simulation import MODELS, fastest_rate, substeps_for
 from vehicle_sbi.physics.single_track import DRIVES, INPUTS

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from vehicle_sbi.compiled import compiled
 from vehicle_sbi.physics.balance import HASTY, KEPT
-from vehicle_sbi.physics.effects import side_force, tyre_force, uneven, wheels_differ
+from vehicle_sbi.physics.tyre_effects import side_force, tyre_force, uneven, wheels_differ
 
 NEAR = 1e-4  # difference of both torques over their sum, from which a step of the search may be the last one
 EQUAL = 1e-9  # the same, where the search has ended

@@ -11,7 +11,9 @@ import math
 from typing import NamedTuple
 
 from vehicle_sbi.compiled import compiled
-from vehicle_sbi.physics.effects import body_load, downforce, friction_step, road_grade, roll_steer, steering_compliance
+from vehicle_sbi.physics.body_forces import body_load, downforce, road_grade
+from vehicle_sbi.physics.commands import roll_steer, steering_compliance
+from vehicle_sbi.physics.tyre_effects import friction_step
 
 TORQUE, WHEEL_SPEED, SPEED = 0, 1, 2  # drive modes: what is given
 LOAD_TOLERANCE = 1e-9  # [m/s^2], where the loop between load transfer and longitudinal force stops

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.balance import SPEED, TORQUE, WHEEL_SPEED, Front, Outside, outside, pointing, pulls, settled
-from vehicle_sbi.physics.effects import lag_rate, lag_share, lateral_cog, road_bank, side_force, tyre_force
+from vehicle_sbi.physics.body_forces import lateral_cog, road_bank
 from vehicle_sbi.physics.single_track import (
     DELTA,
     T_F,
@@ -40,6 +40,7 @@ from vehicle_sbi.physics.single_track import (
     wheel_torque,
 )
 from vehicle_sbi.physics.tyre import effective_radius
+from vehicle_sbi.physics.tyre_effects import lag_rate, lag_share, side_force, tyre_force
 from vehicle_sbi.physics.vehicle import GRAVITY
 
 WHEELS = 4  # front left, front right, rear left, rear right

@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vehicle_sbi.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import lag_rate, lag_share
 from vehicle_sbi.physics.single_track import T_F, T_R, V_X, regular, rolling_radii, torque_slope
+from vehicle_sbi.physics.tyre_effects import lag_rate, lag_share
 
 AXLES = 2
 HALF, BACK, FIRST, MIDDLE, LAST = range(5)  # weights of rates within a step, and in its sum

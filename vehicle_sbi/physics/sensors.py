@@ -7,7 +7,7 @@ a raised left side and a leaning body each leave g times the sine of their angle
 import math
 
 from vehicle_sbi.compiled import compiled, compiled_apart
-from vehicle_sbi.physics.effects import road_bank, road_grade
+from vehicle_sbi.physics.body_forces import road_bank, road_grade
 from vehicle_sbi.physics.signals import interpolate, lagged, swaying
 from vehicle_sbi.physics.vehicle import GRAVITY
 

@@ -14,7 +14,10 @@ import numpy as np
 from vehicle_sbi.compiled import compiled, compiled_apart, compiled_beside
 from vehicle_sbi.physics import full_vehicle, single_track
 from vehicle_sbi.physics.balance import forget
-from vehicle_sbi.physics.effects import CATALOGUE, derive, latent_sensor, latent_steering, steer, torques
+from vehicle_sbi.physics.body_forces import latent_sensor, latent_steering
+from vehicle_sbi.physics.commands import steer, torques
+from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.physics.record import derive
 from vehicle_sbi.physics.rolling import linearise_wheels, roll_wheels, set_wheels, slipping_wheels
 from vehicle_sbi.physics.sensors import (
     MEASUREMENTS,

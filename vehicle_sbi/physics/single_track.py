@@ -18,22 +18,20 @@ from typing import NamedTuple
 from vehicle_sbi.compiled import compiled, compiled_apart
 from vehicle_sbi.physics.axle import Slips, Tyres, axle_force, axle_side_force, mixed
 from vehicle_sbi.physics.balance import SPEED, TORQUE, WHEEL_SPEED, Front, Outside, outside, pulls, settled
-from vehicle_sbi.physics.effects import (
+from vehicle_sbi.physics.body_forces import lateral_cog, road_bank, road_grade
+from vehicle_sbi.physics.tyre import effective_radius, grips
+from vehicle_sbi.physics.tyre_effects import (
     ignores_load,
     lag_rate,
     lag_share,
-    lateral_cog,
     lean_period,
     lean_share,
     leans,
     moves_load_across,
     pitch_period,
     pitches,
-    road_bank,
-    road_grade,
     wheels_differ,
 )
-from vehicle_sbi.physics.tyre import effective_radius, grips
 
 DRIVES = {"torque": TORQUE, "wheel_speed": WHEEL_SPEED, "speed": SPEED}
 

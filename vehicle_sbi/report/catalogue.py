@@ -14,7 +14,8 @@ from vehicle_sbi.data.noise import ConstantNoise, ProcessNoise
 from vehicle_sbi.files import write_atomically, write_text
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.parameters import Parameter, ParameterSpace
-from vehicle_sbi.physics.effects import CATALOGUE, Effect, nominal_record
+from vehicle_sbi.physics.effects import CATALOGUE, Effect
+from vehicle_sbi.physics.record import nominal_record
 from vehicle_sbi.physics.vehicle import Vehicle
 from vehicle_sbi.report.figures import MEASURED, POSTERIOR, STYLE
 from vehicle_sbi.rng import Stream, generator

@@ -2,8 +2,8 @@
 
 C_alpha, C_kappa are AXLE values, both tyres together. Names are those of `Vehicle` and of the catalogue of effects.
 
-A payload of mass m_p, x ahead of the empty car's centre of gravity, is put on it as the model does (`derive` in
-physics/effects.py): m + m_p, l_f - s x and I_z + s m x^2, with s = m_p / (m + m_p); all of it is sprung.
+A payload of mass m_p, x ahead of the empty car's centre of gravity, is put on it as the model does (`payload` in
+physics/body_forces.py): m + m_p, l_f - s x and I_z + s m x^2, with s = m_p / (m + m_p); all of it is sprung.
 """
 
 from collections.abc import Callable, Mapping, Sequence
