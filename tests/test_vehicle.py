@@ -61,6 +61,13 @@ def test_every_constant_is_checked(name: str, value: Any) -> None:
         Vehicle(name="car", **{name: value})
 
 
+@pytest.mark.parametrize(("name", "usual"), [("drive_front", "1"), ("brake_front", "0.6"), ("K", "inf")])
+def test_a_null_for_what_has_to_be_a_number_names_what_leaving_it_out_means(name: str, usual: str) -> None:
+    unstated: dict[str, Any] = {name: None}
+    with pytest.raises(InputError, match=rf"{name} = null; state a number, or leave the line out for {usual}$"):
+        Vehicle(name="car", **unstated)
+
+
 def test_what_may_be_zero_or_infinite() -> None:
     Vehicle(name="slab", h_cog=0.0, drive_front=0.0, brake_front=0.0, K=math.inf, C_vert=math.inf)
 

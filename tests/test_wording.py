@@ -80,7 +80,7 @@ def test_what_the_extended_model_has_beside_the_headline_and_lacks_of_it() -> No
         effects={"body_roll": 0.9, "relaxation": 0.6, "gust": 0.4},
     )
     said = _its_set(answer)
-    assert said.startswith(" Its set of effects is the likeliest, which 70 % of the draws have; base parameters are")
+    assert said.startswith(" Its set of effects is the likeliest (70 % of draws); base parameters are")
     assert said.endswith(" Its own has the effects above, with gust, without relaxation.")
     answer.effects = {"body_roll": 0.9, "gust": 0.7, "relaxation": 0.1}
     assert _its_set(answer) == ""
@@ -91,10 +91,10 @@ def test_what_the_extended_model_has_beside_the_headline_and_lacks_of_it() -> No
     [
         (
             (0.010, 0.007, 0.006, 0.001),
-            "2 other sets of effects are about as likely as its own, which 1.6 % of the draws",
+            "2 other sets of effects are about as likely as its own (1.6 % of draws): go by",
         ),
-        ((0.4, 0.3), "Another set of effects is about as likely as its own, which 41 % of the draws have"),
-        ((0.4, 0.1), "Its set of effects is the likeliest, which 41 % of the draws have"),
+        ((0.4, 0.3), "Another set of effects is about as likely as its own (41 % of draws): go by"),
+        ((0.4, 0.1), "Its set of effects is the likeliest (41 % of draws)"),
         ((0.6, 0.3), ""),
     ],
 )
@@ -121,6 +121,15 @@ def test_something_unknown_that_no_force_or_sensor_shows_has_its_line(p_unknown:
         assert [*_shown(answer)] == [said] * bool(said)
         assert "mu would leave the prior" in _left(answer)
         assert f"'prior.mu={longer}'" in _left(answer)
+
+
+@pytest.mark.parametrize(("probability", "said"), [(0.45, "cannot be told, perhaps force along x."), (0.6, "0.5")])
+def test_what_it_acts_on_is_only_said_where_that_is_likelier_than_not(probability: float, said: str) -> None:
+    law: Any = SimpleNamespace(target="force along x", signal="a_x", size=HALF, share=0.2, probability=probability)
+    answer: Any = SimpleNamespace(unknown=SimpleNamespace(laws=[law], over_time=SimpleNamespace(within=[])))
+    (line,) = _shown(answer)
+    assert line.startswith("Left over: ")
+    assert said in line
 
 
 def test_a_parameter_at_a_bound_comes_with_the_words_that_widen_its_box() -> None:

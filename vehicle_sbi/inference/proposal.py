@@ -189,8 +189,8 @@ def _spread(space: ParameterSpace, supports: Sequence[Region], rng: np.random.Ge
         raise InputError(
             f"rounds contradict each other: only {len(draws)} of {SUPPORT_SAMPLES} draws of the last one lie where the "
             "fit and the rounds before leave the parameters. The recording is unlike the simulations, or too few "
-            "taught the network: name what `diagnose` finds in effects=[…] (its extended.yaml does), check stated "
-            "constants, or use more rounds.simulations"
+            "taught the network: use more rounds.simulations, check stated constants, and where no effects are free, "
+            "name what `diagnose` finds in effects=[…]"
         )
     weight = np.exp(density.min() - density)
     return draws[rng.choice(len(draws), WALKERS, replace=len(draws) < WALKERS, p=weight / weight.sum())]

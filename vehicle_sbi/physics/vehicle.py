@@ -58,6 +58,7 @@ MEANINGS: Mapping[str, str] = {
 """What each constant of a vehicle is, in the order of a file; from track_f on, what only the full vehicle has."""
 
 IMU_PLACE = ("imu_x", "imu_y", "imu_z")
+STATED = ("C_vert", "K", "drive_front", "brake_front")  # with what stands for them where a file does not say
 LENGTHS = ("L", "l_f", "h_cog", "R_f", "track_f", "track_r", "h_roll", "h_pitch")
 LONGEST = 30.0  # [m], which none of them reaches
 
@@ -106,6 +107,10 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         where = f"vehicle '{self.name}'"
+        for name in STATED:
+            if getattr(self, name) is None:
+                usual = getattr(Vehicle, name)
+                raise InputError(f"{where}: {name} = null; state a number, or leave the line out for {usual:g}")
         for name, value in self.constants().items():
             if not isinstance(value, int | float) or isinstance(value, bool):
                 raise InputError(f"{where}: {name} = {value!r}; a number has to stand there")

@@ -109,7 +109,8 @@ def _yaml(value: object) -> str:
 def _vehicle_lines(name: str, steered: bool) -> Iterator[str]:
     yield f"# The vehicle of {name}: fill in what you know. null: not known, a prior over the range stands for it."
     yield "# l_f, C_alpha_f and C_alpha_r are inferred whatever stands here. On the command line prior.l_f=null takes"
-    yield "# the value here as exact, and 'prior.C_alpha_f=[low,high]' states the range that you know."
+    yield "# the value here as exact, and 'prior.C_alpha_f=[low,high]' states the range that you know. Ranges below are"
+    yield "# usual ones; a run's prior may state others, which its table shows."
     yield f"name: {_yaml(name)}"
     for constant, what in MEANINGS.items():
         if constant == "track_f":

@@ -212,6 +212,9 @@ def _shown(answer: Verdict) -> Iterator[str]:
         yield from [TOO_SMALL] if answer.p_unknown > NAMED else []
         return
     law, over = answer.unknown.laws[0], answer.unknown.over_time
+    if law.probability <= NAMED:
+        yield f"Left over: something unknown; what it acts on cannot be told, perhaps {law.target}."
+        return
     follows = f", which follows {law.signal}" if law.share >= FOLLOWS else ""
     size = quantity("", law.size).removeprefix(" = ")
     most = f", most {spoken(over.within)}" if over.within else ""
@@ -270,11 +273,11 @@ def _its_set(answer: Verdict) -> str:
         return ""
     rivals = sum(one.in_all >= RIVAL * likeliest.in_all for one in others)
     own = f" Its own has the effects above, {', '.join(unlike)}." if unlike else ""
-    share = f"which {100.0 * likeliest.in_all:.2g} % of the draws have"
+    share, averaged = f"({100.0 * likeliest.in_all:.2g} % of draws)", "base parameters are averaged over all sets"
     if not rivals:
-        return f" Its set of effects is the likeliest, {share}; base parameters are averaged over all sets.{own}"
+        return f" Its set of effects is the likeliest {share}; {averaged}.{own}"
     alike = f"{rivals} other sets of effects are" if rivals > 1 else "Another set of effects is"
-    return f" {alike} about as likely as its own, {share}; base parameters are averaged over all sets.{own}"
+    return f" {alike} about as likely as its own {share}: go by each effect's probability; {averaged}.{own}"
 
 
 def _unlike(predictions: Mapping[str, Prediction]) -> Iterator[str]:
