@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from studies import constant_noise, simulator
 
-from vehicle_sbi.inference.directions import directions, slopes
+from vehicle_sbi.inference.directions import beside, directions, slopes
 from vehicle_sbi.inference.information import sensitivity
 from vehicle_sbi.inference.simulator import Simulator
 from vehicle_sbi.mismatch.design.identifiability import SEEN, Card, card
@@ -156,3 +156,14 @@ def test_an_effect_that_shows_beside_others_alone_is_not_said_to_be_hidden() -> 
     rows = could_show(found, beside=[name]).set_index("effect")["visible"]
     assert {rows[row] for row in rows.index if row.split(".")[0] == name} == {"beside others"}
     assert set(rows) == {"yes", "no", "beside others"}
+
+
+def test_how_high_an_imu_sits_is_a_direction_beside_a_body_that_leans() -> None:
+    # By itself it changes nothing that a car in the plane reports; once known it is no such direction any more.
+    sim = lateral()
+    known = directions(sim, MIDDLE, CATALOGUE["imu_lever_arm"])
+    assert "imu_lever_arm.z" not in [d.parameter.name for d in known]
+    (height,) = beside(sim, MIDDLE, known)
+    assert height.parameter.name == "imu_lever_arm.z"
+    assert not slopes(sim, MIDDLE, [height]).any()
+    assert beside(sim, MIDDLE, [*known, height]) == []

@@ -238,6 +238,20 @@ def left_out(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> list[Direc
     return [direction for effect in every for direction in directions(simulator, theta, effect)]
 
 
+def beside(simulator: Simulator, theta: Float[np.ndarray, " d"], known: Sequence[Direction]) -> list[Direction]:
+    """Directions that are not among the known ones, since they act beside other effects alone: how high an IMU sits
+    above the centre of gravity matters where the body leans."""
+    fitted = {*simulator.space.names, *(d.parameter.name for d in known)}
+    found = list[Direction]()
+    for effect in (within(simulator, one) for one in CATALOGUE.values() if one.beside):
+        others = [p for name in effect.beside for p in within(simulator, CATALOGUE[name]).parameters]
+        awake = {p: middle(p) for p in others if p.name not in simulator.space.names}
+        left = [p for p in effect.parameters if p.name not in fitted]
+        quiet, *moved = responses(simulator, theta, [awake, *({**awake, p: away(p, STEPS[0])} for p in left)])
+        found += [Direction(effect.name, p, {}) for p, y in zip(left, moved, strict=True) if _differ(y, quiet)]
+    return found
+
+
 def tile(simulator: Simulator) -> float:
     """How long a tile of the recordings' time is [s]."""
     return extent(simulator) / TILES

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from vehicle_sbi.inference.directions import Direction, left_out
+from vehicle_sbi.inference.directions import Direction, beside, left_out
 from vehicle_sbi.mismatch.answer.schema import Verdict
 from vehicle_sbi.mismatch.answer.verdict import Found, verdict
 from vehicle_sbi.mismatch.design.identifiability import Card, card
@@ -79,7 +79,14 @@ def steps(
         "pruned",
         AtOnce,
         lambda: AtOnce(
-            expand_and_prune(base, seen.acting(known), case.naming, prior=case.effect_prior, rng=pruning, budget=budget)
+            expand_and_prune(
+                base,
+                [*seen.acting(known), *beside(base.simulator, base.theta, known)],
+                case.naming,
+                prior=case.effect_prior,
+                rng=pruning,
+                budget=budget,
+            )
         ),
     )
     likeliest = keep("extended", Extended, lambda: _extended(base, at_once.pruned, seen, examined.detected, infer))

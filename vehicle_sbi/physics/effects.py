@@ -45,7 +45,8 @@ RAJAMANI, PACEJKA = "Rajamani, Vehicle Dynamics and Control", "Pacejka, Tire and
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """An optional effect: where it enters, what it means, its equation and where that comes from, its parameters."""
+    """An optional effect: where it enters, what it means, its equation and where that comes from, its parameters, and
+    effects beside which one of these acts that does not by itself."""
 
     name: str
     enters_at: str
@@ -53,6 +54,7 @@ class Effect:
     equation: str
     source: str
     parameters: tuple[Parameter, ...]
+    beside: tuple[str, ...] = ()
 
     @property
     def timed(self) -> bool:
@@ -61,7 +63,13 @@ class Effect:
 
 
 def _effect(
-    name: str, enters_at: str, meaning: str, equation: str, source: str, **parameters: tuple[str, float, float, float]
+    name: str,
+    enters_at: str,
+    meaning: str,
+    equation: str,
+    source: str,
+    *beside: str,
+    **parameters: tuple[str, float, float, float],
 ) -> Effect:
     """An effect with `parameters` as name=(unit, low, high, null); the record's fields are effect_parameter."""
     return Effect(
@@ -74,6 +82,7 @@ def _effect(
             Parameter(name=f"{name}.{key}", unit=unit, low=low, high=high, null=null, fields=(f"{name}_{key}",))
             for key, (unit, low, high, null) in parameters.items()
         ),
+        beside=beside,
     )
 
 
@@ -201,7 +210,7 @@ CATALOGUE: Mapping[str, Effect] = {
                 f"{RAJAMANI}, sec. 15.2",
                 gradient=("rad/(m/s^2)", 0.0, 0.02, 0.0), lag=("s", 0.0, 0.3, 0.0), period=("s", 0.0, 1.0, 0.0)),
         _effect("imu_lever_arm", "sensor", "the IMU sits away from the centre of gravity",
-                "a = a_COG + dw/dt x p + w x (w x p)", "rigid-body kinematics",
+                "a = a_COG + dw/dt x p + w x (w x p)", "rigid-body kinematics", "body_roll", "body_pitch",
                 x=("m", -1.5, 1.5, 0.0), y=("m", -0.8, 0.8, 0.0), z=("m", -0.5, 1.0, 0.0)),
         _effect("imu_misalignment", "sensor", "the IMU's axes are turned against the car's",
                 "f_IMU = R_x(roll)' R_y(pitch)' R_z(yaw)' f", "rotation by Tait-Bryan angles",

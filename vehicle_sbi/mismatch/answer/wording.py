@@ -277,7 +277,7 @@ def _its_set(answer: Verdict) -> str:
     if not rivals:
         return f" Its set of effects is the likeliest {share}; {averaged}.{own}"
     alike = f"{rivals} other sets of effects are" if rivals > 1 else "Another set of effects is"
-    return f" {alike} about as likely as its own {share}: go by each effect's probability; {averaged}.{own}"
+    return f" {alike} about as likely as its own {share}: go by the probability of each effect; {averaged}.{own}"
 
 
 def _unlike(predictions: Mapping[str, Prediction]) -> Iterator[str]:
