@@ -282,7 +282,8 @@ def _on_rims(model: Model) -> list[tuple[Parameter, float]]:
 def _rim(model: Model, called: str) -> list[str]:
     """What is said of each of them."""
     return [
-        f"{p.name}: the {called} model fits best at {_nearer(p, x)}, a bound of its prior: a mismatch may hide there."
+        f"{p.name}: the {called} model fits best at {_nearer(p, x)}, a bound of its prior: it is too narrow, "
+        "or a mismatch hides there."
         for p, x in _on_rims(model)
     ]
 

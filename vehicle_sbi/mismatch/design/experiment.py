@@ -242,4 +242,7 @@ def advice(a: Model, b: Model, held_out: Observation | None = None) -> str:
         most = f": they would differ by {ranked[0].separation:.1f} standard deviations at most" if ranked else ""
         return f"None of the drives and sensors that were tried would tell {pair}{most}."
     best = next((one for one in ranked if one.drive in MENU and one.separation >= WORTH), ranked[0])
-    return f"To tell {pair}, record {best.drive}: they would differ by {best.separation:.0f} standard deviations."
+    apart = (
+        f"{best.separation:.0f} standard deviations{'' if best.separation >= WORTH else f' ({WORTH:.0f} would tell)'}"
+    )
+    return f"To tell {pair}, record {best.drive}: they would differ by {apart}."
