@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SHORT = (
     "index tutorial_demo tutorial_own_csv diagnosis benchmark trust inspect formats export how_it_works scaling "
-    "plausible add_an_effect"
+    "plausible add_an_effect words"
 ).split()
 TABLES = ("| metric | all", "| method | all")
 
