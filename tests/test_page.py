@@ -21,7 +21,17 @@ from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics import sensors
 from vehicle_sbi.physics.effects import EFFECT_PARAMETERS
 from vehicle_sbi.report.page import page, parts
-from vehicle_sbi.report.page.diagnosis import CLAUSES, GROUPS, NOT_TOLD, _base, _explained, _range, _unknown, _where
+from vehicle_sbi.report.page.diagnosis import (
+    CLAUSES,
+    GROUPS,
+    NOT_TOLD,
+    _bars,
+    _base,
+    _explained,
+    _range,
+    _unknown,
+    _where,
+)
 from vehicle_sbi.report.page.index import BROKEN, CALIBRATION, COMPLETE, DIAGNOSIS, RUN, UNFINISHED, rows, write_index
 from vehicle_sbi.report.page.page import Page, write_page
 from vehicle_sbi.report.page.parts import Listed, Picture, Section, Table, Words
@@ -107,6 +117,17 @@ def test_a_size_whose_name_leaves_something_open_is_explained_in_a_clause() -> N
     assert _explained("relaxation.front", some) == "front = 0.50 ± 0.10 m"
     assert CLAUSES.keys() <= EFFECT_PARAMETERS.keys()
     assert GROUPS.keys() <= {*sensors.GROUPS}
+
+
+def test_a_group_that_the_headline_names_has_a_bar_and_one_with_a_named_effect_has_none() -> None:
+    answer: Any = SimpleNamespace(
+        effects={"relaxation": 0.9, "sensor_delay": 0.45, "steering_delay": 0.4}, p_unknown=0.1, p_none=0.0,
+        indistinguishable=[["sensor_delay", "steering_delay", "sensor_lag"], ["relaxation", "roll_steer"]],
+        p_indistinguishable=[0.8, 0.95], explanations=[], unsupported=[], unknown=None,
+    )  # fmt: skip
+    named = [(bar.name, bar.share) for bar in _bars(answer)]
+    group = ("sensor delay or steering delay or alike", 0.8)
+    assert named[:4] == [("relaxation", 0.9), group, ("sensor delay", 0.45), ("steering delay", 0.4)]
 
 
 def test_a_base_parameter_that_is_not_identified_is_said_so_on_the_page() -> None:

@@ -88,13 +88,18 @@ def _missing(begun: str, named: Sequence[str], spelled: int, unknown: float) -> 
 
 def _named(answer: Verdict) -> Iterator[str]:
     """Effects that are likely to be missing, and groups of which one is, with their probabilities."""
-    named = {name: p for name, p in answer.effects.items() if p > NAMED}
-    yield from (f"{_plain(name)} ({p:.2f})" for name, p in named.items())
+    yield from (f"{_plain(name)} ({p:.2f})" for name, p in answer.effects.items() if p > NAMED)
+    yield from (f"{either(group)} ({p:.2f})" for group, p in undecided(answer))
+
+
+def undecided(answer: Verdict) -> list[tuple[list[str], float]]:
+    """Groups of effects that cannot be told apart, none of which is named by itself, with the probability of any."""
     groups = zip(answer.indistinguishable, answer.p_indistinguishable, strict=True)
-    yield from (f"{_either(group)} ({p:.2f})" for group, p in groups if not {*group} & {*named})
+    named = {name for name, p in answer.effects.items() if p > NAMED}
+    return [(group, p) for group, p in groups if not {*group} & named]
 
 
-def _either(group: Sequence[str]) -> str:
+def either(group: Sequence[str]) -> str:
     """The likeliest two of a group, and that there are more if there are."""
     return " or ".join([*map(_plain, group[:2]), *(["alike"] if len(group) > 2 else [])])
 

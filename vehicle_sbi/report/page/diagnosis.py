@@ -7,7 +7,16 @@ import pandas as pd
 
 from vehicle_sbi.mismatch.answer.schema import Verdict, listed
 from vehicle_sbi.mismatch.answer.verdict import Found
-from vehicle_sbi.mismatch.answer.wording import NAMED, TOO_SMALL, as_a_whole, in_the_car, spoken_p, when
+from vehicle_sbi.mismatch.answer.wording import (
+    NAMED,
+    TOO_SMALL,
+    as_a_whole,
+    either,
+    in_the_car,
+    spoken_p,
+    undecided,
+    when,
+)
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, quantity
 from vehicle_sbi.mismatch.estimation.fit import Fit
 from vehicle_sbi.mismatch.hypotheses.block import throughout
@@ -192,7 +201,8 @@ def _sizes(answer: Verdict) -> dict[str, Estimate]:
 
 
 def _bars(answer: Verdict) -> list[Bar]:
-    """A bar for each effect that is at all likely, one for what no effect stands for, and one for nothing."""
+    """A bar for each effect that is at all likely and groups of which one is, one for what no effect stands for, and
+    one for nothing."""
     sizes, laws = _sizes(answer), answer.unknown.laws[:1] if answer.unknown else []
 
     def said(effect: str) -> str:
@@ -201,6 +211,8 @@ def _bars(answer: Verdict) -> list[Bar]:
 
     likely = [(name, p) for name, p in answer.effects.items() if p >= LEAST][:MOST_BARS]
     bars = [Bar(name.replace("_", " "), p, said(name)) for name, p in likely]
+    bars += [Bar(either(group), p, "any of them; these recordings hardly tell which") for group, p in undecided(answer)]
+    bars.sort(key=lambda bar: -bar.share)
     left = "".join(raised(minus(f"{law.target}{quantity('', law.size)}")) for law in laws)
     return [*bars, Bar("something unknown", answer.p_unknown, left), Bar("nothing at all", answer.p_none)]
 
@@ -239,7 +251,7 @@ def _effects(answer: Verdict, found: Found) -> pd.DataFrame:
         {
             "effect": name,
             "what it is": CATALOGUE[name].meaning,
-            "before": f"{prior[name]:.2f}" if name in prior else "",
+            "prior": f"{prior[name]:.2f}" if name in prior else "",
             "probability": f"{p:.2f}",
             "size": "; ".join(
                 quantity(key, e) + in_the_car(key, e, nominal) for key, e in sizes.items() if key.split(".")[0] == name
@@ -247,7 +259,7 @@ def _effects(answer: Verdict, found: Found) -> pd.DataFrame:
         }
         for name, p in answer.effects.items()
     ]
-    return pd.DataFrame(rows, columns=["effect", "what it is", "before", "probability", "size"])
+    return pd.DataFrame(rows, columns=["effect", "what it is", "prior", "probability", "size"])
 
 
 def _sets(answer: Verdict) -> pd.DataFrame:
