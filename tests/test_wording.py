@@ -123,9 +123,14 @@ def test_something_unknown_that_no_force_or_sensor_shows_has_its_line(p_unknown:
         assert f"'prior.mu={longer}'" in _left(answer)
 
 
-@pytest.mark.parametrize(("probability", "said"), [(0.45, "cannot be told, perhaps force along x."), (0.6, "0.5")])
-def test_what_it_acts_on_is_only_said_where_that_is_likelier_than_not(probability: float, said: str) -> None:
-    law: Any = SimpleNamespace(target="force along x", signal="a_x", size=HALF, share=0.2, probability=probability)
+@pytest.mark.parametrize(
+    ("probability", "std", "said"), [(0.45, 0.1, "perhaps"), (0.6, 0.3, "perhaps"), (0.6, 0.1, "force along x of 0.5")]
+)
+def test_what_is_left_over_has_a_place_where_that_is_likely_and_its_size_is_sure(
+    probability: float, std: float, said: str
+) -> None:
+    size = Estimate(0.5, std, 0.4, 0.6, "N")
+    law: Any = SimpleNamespace(target="force along x", signal="a_x", size=size, share=0.2, probability=probability)
     answer: Any = SimpleNamespace(unknown=SimpleNamespace(laws=[law], over_time=SimpleNamespace(within=[])))
     (line,) = _shown(answer)
     assert line.startswith("Left over: ")

@@ -29,6 +29,7 @@ PARAMETERS = 3  # that are said to have moved at most
 HARDLY_COVERED = 0.75  # share of the 90 % band, below which what was held out is not what the model predicts
 EXAMPLES = 3  # effects that are named of those that would have shown
 FOLLOWS = 0.5  # share of a course that a signal explains, from which it is said to follow it
+SURE = 2.0  # standard deviations of what is left over, from which it is said what it acts on
 LONGER = 1 / 3  # of its width, by which a box that is too narrow is to reach further
 TOO_SMALL = "Left over: something unknown, too small to tell which force or sensor it is."
 
@@ -217,7 +218,7 @@ def _shown(answer: Verdict) -> Iterator[str]:
         yield from [TOO_SMALL] if answer.p_unknown > NAMED else []
         return
     law, over = answer.unknown.laws[0], answer.unknown.over_time
-    if law.probability <= NAMED:
+    if law.probability <= NAMED or law.size.mean < SURE * law.size.std:
         yield f"Left over: something unknown; what it acts on cannot be told, perhaps {law.target}."
         return
     follows = f", which follows {law.signal}" if law.share >= FOLLOWS else ""
