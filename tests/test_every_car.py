@@ -70,8 +70,9 @@ def driven(car: Vehicle, drive: str, channels: tuple[str, ...], model: str = "si
 
 RIGID = tuple(name for name in MEASUREMENTS if name not in BODY_MEASUREMENTS)
 PREDICTED = {"speed": {"speed_scale"}}  # the gain of a speed that is compared, and this one drives
-FAINT = {"aero_drag", "downforce", "rolling_resistance"}  # which take little of the grip at these speeds
-GRIP_LEFT = {"dart": {"friction_level", "friction_step"}}  # its file's tyres are so soft that they slip far before
+FAINT = {"aero_drag", "downforce", "rolling_resistance", "combined_slip"}  # which take little of the grip here
+GRIP_LEFT = {"dart": {"friction_level", "friction_step", "lateral_load_transfer"}}
+"""What takes little of the grip of a file's tyres: these are so soft that they slip far before."""
 
 
 def compared(channels: tuple[str, ...], drive: str) -> tuple[str, ...]:
