@@ -75,7 +75,7 @@ def left(car: WholeCar, names: Sequence[str], effects: Effects = NONE) -> tuple[
         raise SystemExit("error: with these effects alone this car cannot be driven so")
     simulator, added = base_model(car, series), [EFFECT_PARAMETERS[name] for name in names]
     space = ParameterSpace((*simulator.space.parameters, *added))
-    values = STARTS[car.world_name] | {
+    values = STARTS.get(car.world_name, STARTS["twin"]) | {
         f"{effect}.{key}": value for effect, held in effects.items() for key, value in held.items()
     }
     start = [car.base[name] for name in simulator.space.names] + [values.get(p.name, p.null) for p in added]

@@ -264,15 +264,16 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
     centres = rigid_y * (a_y + car.g_y) - p.h_roll * p.roll_lever * roll_rate_dot
     F_z = loads(p, pitching, car.held_roll, centres, out.press_f, out.press_r)
     straight, pull_f, pull_r, free_f, free_r = pointing(0.0, 0.0), 0.0, 0.0, 0.0, 0.0
+    felt = a_y + car.g_y
     if car.drive == SPEED:
         pull_f, pull_r = pulls(p, out, front, a_x)
     elif car.drive == WHEEL_SPEED:
         free_f = rolling_freely(p, car.front, front, car.front_left, car.front_right, F_z[0], F_z[1])
         free_r = rolling_freely(p, car.rear, straight, car.rear_left, car.rear_right, F_z[2], F_z[3])
-    fl = contact(p, car, car.front, front, car.front_left, F_z[0], a_y + car.g_y, free_f, pull_f)
-    fr = contact(p, car, car.front, front, car.front_right, F_z[1], a_y + car.g_y, free_f, pull_f)
-    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], a_y + car.g_y, free_r, pull_r)
-    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3], a_y + car.g_y, free_r, pull_r)
+    fl = contact(p, car, car.front, front, car.front_left, F_z[0], felt, free_f, pull_f)
+    fr = contact(p, car, car.front, front, car.front_right, F_z[1], felt, free_f, pull_f)
+    rl = contact(p, car, car.rear, straight, car.rear_left, F_z[2], felt, free_r, pull_r)
+    rr = contact(p, car, car.rear, straight, car.rear_right, F_z[3], felt, free_r, pull_r)
     F_along = (fl.F_x + fr.F_x) + (rl.F_x + rr.F_x)
     F_x = out.push_x + F_along
     F_y = out.push_y + (fl.F_y + fr.F_y) + (rl.F_y + rr.F_y)

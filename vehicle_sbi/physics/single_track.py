@@ -24,10 +24,12 @@ from vehicle_sbi.physics.tyre_effects import (
     ignores_load,
     lag_rate,
     lag_share,
+    lean_damping,
     lean_period,
     lean_share,
     leans,
     moves_load_across,
+    pitch_damping,
     pitch_period,
     pitches,
     wheels_differ,
@@ -255,18 +257,6 @@ def forces(p, car: Car, front: Front, a_x: float, a_y: float) -> Forces:
 
 
 @compiled
-def damping(p) -> float:
-    """Acceleration [m/s^2] that dampers stand for, per unit of the lean's rate [s]."""
-    return 2.0 * p.lateral_load_transfer_damping * lean_period(p)
-
-
-@compiled
-def pitch_damping(p) -> float:
-    """The same of the pitch."""
-    return 2.0 * p.load_sensitivity_damping * pitch_period(p)
-
-
-@compiled
 def ground(_, state, __: int) -> float:
     """Speed [m/s] of the car above a wheel."""
     return state[V_X]
@@ -301,7 +291,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
     if changing > ALIKE:
         alpha_f, alpha_r = Wheels(alpha_f.right, state[ALPHA_FL]), Wheels(alpha_r.right, state[ALPHA_RL])
         leaning = lean_share(p)
-        leant = leaning * (state[LEAN] + damping(p) * state[LEANING])
+        leant = leaning * (state[LEAN] + lean_damping(p) * state[LEANING])
     if changing > LEVEL:
         pitching = p.load_sensitivity_sprung
         pitched = pitching * (state[PITCH] + pitch_damping(p) * state[PITCHING])
@@ -348,7 +338,7 @@ def derivatives(p, drive: int, u, state, rate) -> None:
         rate[ALPHA_RL] = fade_r * (-moving_r.left - alpha_r.left)
         rate[LEAN] = rate[LEANING] = 0.0
         if leaning > 0.0:
-            swing(LEAN, lean_period(p), damping(p), rate[V_Y] + v_x * r + road_bank(p), state, rate)
+            swing(LEAN, lean_period(p), lean_damping(p), rate[V_Y] + v_x * r + road_bank(p), state, rate)
     if changing > LEVEL:
         swing(PITCH, pitch_period(p), pitch_damping(p), a_x + out.g_x, state, rate)
 

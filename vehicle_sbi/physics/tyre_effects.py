@@ -48,9 +48,21 @@ def lean_period(p) -> float:
 
 
 @compiled
+def lean_damping(p) -> float:
+    """Acceleration [m/s^2] that dampers stand for, per unit of the lean's rate [s]."""
+    return 2.0 * p.lateral_load_transfer_damping * lean_period(p)
+
+
+@compiled
 def pitch_period(p) -> float:
     """The same of the pitch that moves load between the axles."""
     return max(p.load_sensitivity_period, LEAST_SWING * p.step) / (2.0 * math.pi)
+
+
+@compiled
+def pitch_damping(p) -> float:
+    """The same as of the lean, of the pitch."""
+    return 2.0 * p.load_sensitivity_damping * pitch_period(p)
 
 
 @compiled
