@@ -238,18 +238,28 @@ def left_out(simulator: Simulator, theta: Float[np.ndarray, " d"]) -> list[Direc
     return [direction for effect in every for direction in directions(simulator, theta, effect)]
 
 
-def beside(simulator: Simulator, theta: Float[np.ndarray, " d"], known: Sequence[Direction]) -> list[Direction]:
-    """Directions that are not among the known ones, since they act beside other effects alone: how high an IMU sits
-    above the centre of gravity matters where the body leans."""
-    fitted = {*simulator.space.names, *(d.parameter.name for d in known)}
-    found = list[Direction]()
-    for effect in (within(simulator, one) for one in CATALOGUE.values() if one.beside):
-        others = [p for name in effect.beside for p in within(simulator, CATALOGUE[name]).parameters]
-        awake = {p: middle(p) for p in others if p.name not in simulator.space.names}
-        left = [p for p in effect.parameters if p.name not in fitted]
-        quiet, *moved = responses(simulator, theta, [awake, *({**awake, p: away(p, STEPS[0])} for p in left)])
-        found += [Direction(effect.name, p, {}) for p, y in zip(left, moved, strict=True) if _differ(y, quiet)]
-    return found
+def beside(simulator: Simulator, theta: Float[np.ndarray, " d"], acting: Sequence[Direction]) -> list[Direction]:
+    """Directions that are not among those that act by themselves, but do beside other effects: how high an IMU sits
+    above the centre of gravity matters where the body leans, how much grip there is below the knee of Dugoff's tyre
+    where its curve bends."""
+    known = {d.parameter.name for d in acting}
+    return [
+        direction
+        for effect in CATALOGUE.values()
+        if effect.beside
+        for direction in directions(*_halfway(simulator, theta, effect.beside), effect)
+        if direction.parameter.name not in known
+    ]
+
+
+def _halfway(
+    simulator: Simulator, theta: Float[np.ndarray, " d"], effects: Sequence[str]
+) -> tuple[Simulator, Float[np.ndarray, " d"]]:
+    """The simulator with these effects too, and theta with each of their parameters halfway into its prior."""
+    parameters = [p for name in effects for p in within(simulator, CATALOGUE[name]).parameters]
+    free = [p for p in parameters if p.name not in simulator.space.names]
+    space = ParameterSpace((*simulator.space.parameters, *free))
+    return replace(simulator, space=space), np.concatenate([theta, [middle(p) for p in free]])
 
 
 def tile(simulator: Simulator) -> float:

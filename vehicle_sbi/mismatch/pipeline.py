@@ -74,6 +74,7 @@ def steps(
     base = begun.base
     known = keep("directions", list[Direction], lambda: left_out(base.simulator, base.theta))
     seen = keep("separability", Card, lambda: card(base.simulator, base.theta, known))
+    acting = seen.acting(known)
     examined = keep("examined", Examined, lambda: examine(base, seen.visible(known), draws))
     at_once = keep(
         "pruned",
@@ -81,7 +82,7 @@ def steps(
         lambda: AtOnce(
             expand_and_prune(
                 base,
-                [*seen.acting(known), *beside(base.simulator, base.theta, known)],
+                [*acting, *beside(base.simulator, base.theta, acting)],
                 case.naming,
                 prior=case.effect_prior,
                 rng=pruning,

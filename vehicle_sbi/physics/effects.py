@@ -127,6 +127,7 @@ CATALOGUE: Mapping[str, Effect] = {
                 f"{RAJAMANI}, sec. 4.2", area=("m^2", 0.0, 1.5, 0.0)),
         _effect("downforce", "force", "the air presses the car down",
                 "F_z = rho/2 area v_x^2, front_share of it on the front axle", "definition of a lift coefficient",
+                "tyre_curve",
                 area=("m^2", 0.0, 4.0, 0.0), front_share=("1", 0.2, 0.8, 0.5)),
         _effect("rolling_resistance", "force", "rolling resistance of the tyres", "F_x = -coefficient F_z",
                 f"{RAJAMANI}, sec. 4.2", coefficient=("1", 0.0, 0.05, 0.0)),
@@ -157,7 +158,7 @@ CATALOGUE: Mapping[str, Effect] = {
                 "M_z = y F_x, F_x of all tyres along the car", "rigid-body mechanics", y=("m", -0.1, 0.1, 0.0)),
         # tyres
         _effect("friction_level", "tyre", "friction coefficient over the vehicle's, of both axles or of one",
-                "mu_axle = factor factor_axle mu_vehicle", "Dugoff's mu",
+                "mu_axle = factor factor_axle mu_vehicle", "Dugoff's mu", "tyre_curve",
                 factor=("1", 0.3, 1.3, 1.0), front=("1", 0.6, 1.3, 1.0), rear=("1", 0.6, 1.3, 1.0)),
         _effect("stiffness_level", "tyre", "tyre stiffnesses over the vehicle's, of both axles or of one",
                 "C_axle = factor factor_axle C_vehicle, cornering and longitudinal alike, and so C_alpha / K",
@@ -181,7 +182,7 @@ CATALOGUE: Mapping[str, Effect] = {
                 f"front, share_r = l_f/L - front, w = {1.0 - SPRINGS_BEAR:g} a_y + {SPRINGS_BEAR:g} (y + "
                 "2 damping T dy/dt), T = period/(2 pi), T^2 d2y/dt2 + 2 damping T dy/dt = a_y - y (the full vehicle "
                 "has its own wheels)",
-                f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2",
+                f"{PACEJKA}, ch. 1; {RAJAMANI}, sec. 15.2", "tyre_curve",
                 coefficient=("1/(m/s^2)^2", 0.0, MOST_LOAD_TRANSFER, 0.0),
                 uneven=("1/(m/s^2)^2", 0.0, MOST_UNEVEN, 0.0), front=("1", -MOST_SHIFTED, MOST_SHIFTED, 0.0),
                 track=("m", 0.0, WIDEST, 0.0), period=("s", 0.0, 1.2, 0.0),
@@ -194,7 +195,7 @@ CATALOGUE: Mapping[str, Effect] = {
                 fullness=("1", 0.0, 1.0, 0.0), early=("1", 0.0, 1.0, 0.0)),
         _effect("combined_slip", "tyre", "driving and braking take less of the side force than a friction circle says",
                 "S_y = |(weight C_kappa kappa, C_alpha tan(alpha))| in place of S in the law of F_y",
-                f"{PACEJKA}, sec. 4.3.2", weight=("1", 0.0, 1.0, 1.0)),
+                f"{PACEJKA}, sec. 4.3.2", "tyre_curve", weight=("1", 0.0, 1.0, 1.0)),
         _effect("relaxation", "tyre", "slips build up over a rolled length, beyond the file's C_alpha / K",
                 "sigma = C_alpha / K + length of each axle", f"{PACEJKA}, sec. 7.2; the paper's equation 11",
                 front=("m", 0.0, 1.0, 0.0), rear=("m", 0.0, 1.0, 0.0)),
