@@ -71,7 +71,14 @@ def run(files: Path) -> Path:
     assert status == 0, err
     assert "body roll" in out.splitlines()[0]
     assert str(folder / "verdict.json") in out
+    assert base_parameters_of(out) == json.loads((folder / "verdict.json").read_text())["base_parameters"].keys()
     return folder
+
+
+def base_parameters_of(out: str) -> set[str]:
+    """Names in the table that stands between what is said and the paths of what was written."""
+    table = out.split("\n\n")[1]
+    return {line.split()[0] for line in table.splitlines()[1:]}
 
 
 def test_the_verdict_is_what_the_format_promises(run: Path) -> None:

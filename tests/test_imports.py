@@ -41,8 +41,8 @@ mismatch.selection.reinfer mismatch.selection.predictive
 mismatch.selection.acceptance mismatch.design.cannot_act mismatch.design.identifiability mismatch.design.experiment
 mismatch.answer.schema mismatch.answer.wording mismatch.answer.verdict mismatch.pipeline
 report.manifest report.run_folder report.stage_file report.tables.symbols report.tables.posterior report.tables.text
-report.tables.files report.tables.gathered report.density report.figures report.mismatch_figures
-report.netcdf report.catalogue report.card report.extended report.page.thinning
+report.tables.base_parameters report.tables.files report.tables.gathered report.density report.figures
+report.mismatch_figures report.netcdf report.catalogue report.card report.extended report.page.thinning
 report.page.charts report.page.parts report.page.page report.page.series report.page.diagnosis report.page.run
 report.calibration report.page.index report.results report.diagnosis report.observability report.export.exported
 report.export.car report.export.writing report.export.reading report.export.autoware report.export.openpilot

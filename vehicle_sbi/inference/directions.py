@@ -254,7 +254,7 @@ def beside(simulator: Simulator, theta: Float[np.ndarray, " d"], acting: Sequenc
 
 def _halfway(
     simulator: Simulator, theta: Float[np.ndarray, " d"], effects: Sequence[str]
-) -> tuple[Simulator, Float[np.ndarray, " d"]]:
+) -> tuple[Simulator, Float[np.ndarray, " more"]]:
     """The simulator with these effects too, and theta with each of their parameters halfway into its prior."""
     parameters = [p for name in effects for p in within(simulator, CATALOGUE[name]).parameters]
     free = [p for p in parameters if p.name not in simulator.space.names]

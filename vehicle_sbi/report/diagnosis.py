@@ -16,6 +16,7 @@ from vehicle_sbi.report.extended import command, extended
 from vehicle_sbi.report.run_folder import RunFolder
 from vehicle_sbi.report.stage_file import read
 from vehicle_sbi.report.stage_file import write as write_stage
+from vehicle_sbi.report.tables.base_parameters import terminal
 from vehicle_sbi.rng import Stream, generator
 
 Result = TypeVar("Result")
@@ -81,10 +82,10 @@ def write_report(folder: RunFolder, case: Case, found: Found, answer: Verdict) -
 
 
 def show(folder: RunFolder) -> None:
-    """Print the headline of a finished diagnosis, its lines and warnings, the paths of what it wrote, and what infers
-    the extended model."""
+    """Print the headline of a finished diagnosis, its lines, warnings and base parameters, the paths of what it wrote,
+    and what infers the extended model."""
     answer = json.loads((folder.path / "verdict.json").read_text(encoding="utf-8"))
     print(answer["headline"], *answer["lines"], *answer["warnings"], sep="\n")
-    print()
+    print(f"\n{terminal(answer['base_parameters'])}\n")
     print(*(folder.path / name for name in WRITTEN if (folder.path / name).exists()), sep="\n")
     print(f"\nTo infer the extended model with networks, which is optional and slower:\n{command(folder.path)}")

@@ -41,6 +41,7 @@ from vehicle_sbi.words import enumerated
 SCHEMA = 2
 LISTED = 40  # sets of effects at most
 FEWEST = 30  # draws of a set, from which its parameters are said by those alone
+TOO_FEW = 10  # draws of all sets, below which a size is not said: its standard deviation is known to a quarter at best
 LEAST = 0.05  # probability from which one that is not is listed
 CORNERED = 2  # base parameters on rims, from which the fit is said to be in a corner
 MISFIT = 2.0  # times the sensor's own noise, from which what is left over is worth a warning
@@ -153,7 +154,8 @@ def _named(pruned: Pruned, effects: tuple[str, ...], rows: np.ndarray, model: Mo
 
 
 def _parameters(pruned: Pruned, effects: Sequence[str], rows: np.ndarray) -> dict[str, Estimate]:
-    """Of a set's effects the parameters that are away from their nulls in it, from its own draws if they suffice."""
+    """Of a set's effects the parameters that are away from their nulls in it, from its own draws if they suffice; none
+    that hardly was drawn at all."""
     space, expansion = pruned.fit.simulator.space, pruned.expansion
     names, sizes = [p.name for p in expansion.sizes], pruned.mostly(effects, rows)
     found = dict[str, Estimate]()
@@ -161,6 +163,8 @@ def _parameters(pruned: Pruned, effects: Sequence[str], rows: np.ndarray) -> dic
         if p.name.split(".")[0] not in effects or (p.name in names and p.name not in sizes):
             continue
         there = pruned.included[:, names.index(p.name)] if p.name in names else pruned.missing[p.name.split(".")[0]]
+        if there.sum() < TOO_FEW:
+            continue
         chosen = rows & there if (rows & there).sum() >= FEWEST else there
         found[p.name] = drawn(pruned.theta[chosen, space.column(p.name)], p.unit)
     return found

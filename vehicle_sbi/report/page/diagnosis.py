@@ -43,6 +43,7 @@ from vehicle_sbi.report.page.parts import (
     unit,
 )
 from vehicle_sbi.report.page.series import series
+from vehicle_sbi.report.tables.base_parameters import NOT_TOLD, base_for_people
 from vehicle_sbi.report.tables.symbols import minus
 from vehicle_sbi.rounding import mean_and_std
 
@@ -64,7 +65,6 @@ CLAUSES = {  # what the name of a size leaves open
 GROUPS = {group: f"sensors of the mapping's group {group}" for group in ("can", "wheel_speed")}
 BAND = {"band": "its 90 % band"}
 PARAMETERS = {"base": "base model alone", "extended": "averaged over what may be missing"}
-NOT_TOLD = "not identified by these recordings"
 OF_CURVES = (
     "Where only the extended model meets the recorded signal, something was missing. Gaps: held out, beside it, "
     "or left out of the recording (notes)."
@@ -119,7 +119,7 @@ def page_of(case: Case, found: Found, answer: Verdict) -> Page:
             Section(heading="Effects together", parts=[Table(_sets(answer), OF_SETS)]),
             Section(heading="What no effect explains", parts=[_unknown(answer)]),
             Section(heading="Where they differ", parts=[_where(answer, found)]),
-            Section(heading="Base parameters", parts=[Table(_base(answer))]),
+            Section(heading="Base parameters", parts=[Table(base_for_people(answer.base_parameters))]),
             Section(
                 heading="What these recordings could have shown",
                 parts=[Table(could_show(found.seen, beside=answer.effects), LEGEND), Words(hidden(found.seen))],
@@ -297,24 +297,6 @@ def _where(answer: Verdict, found: Found) -> Part:
         }
     )
     return Table(frame, OF_PLACES)
-
-
-def _base(answer: Verdict) -> pd.DataFrame:
-    """Base parameters by the base model, and with all that may be missing averaged over."""
-    rows = list[dict[str, str]]()
-    for name, one in answer.base_parameters.items():
-        values: Any = one
-        rows.append(
-            {
-                "parameter": name,
-                "unit": values["unit"],
-                "base model": mean_and_std(values["before"]["mean"], values["before"]["std"]),
-                "whatever is missing": mean_and_std(values["after"]["mean"], values["after"]["std"]),
-                "90 %": f"{values['after']['q05']:.4g} to {values['after']['q95']:.4g}",
-                "identified": "yes" if values["identified"] else NOT_TOLD,
-            }
-        )
-    return pd.DataFrame(rows)
 
 
 def _scores(answer: Verdict) -> pd.DataFrame:

@@ -73,11 +73,11 @@ def terminal(table: pd.DataFrame) -> str:
     people = for_people(table)
     people = people.drop(columns="identified")
     people["parameter"] += [f" [{unit}]" if unit != "1" else "" for unit in people.pop("unit")]
-    lines = _aligned(people)
+    lines = aligned(people)
     for column in ("prior", "5 % to 95 %", "contraction"):
         if max(map(len, lines)) > SCREEN_WIDTH:
             people = people.drop(columns=column)
-            lines = _aligned(people)
+            lines = aligned(people)
     rule = "─" * max(map(len, lines))
     body = [text for line, why in zip(lines[1:], unidentified(table), strict=True) for text in _with_remark(line, why)]
     return "\n".join([lines[0], rule, *body])
@@ -89,7 +89,7 @@ def _with_remark(line: str, remark: str) -> Iterator[str]:
         yield f"  {remark}"
 
 
-def _aligned(people: pd.DataFrame) -> list[str]:
+def aligned(people: pd.DataFrame) -> list[str]:
     """Header and rows with the first column to the left, the others to the right, two blanks between."""
     cells = [list(map(str, people.columns)), *people.to_numpy().tolist()]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
