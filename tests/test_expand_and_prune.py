@@ -17,6 +17,7 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     beyond_base,
     linear_gaussian,
     order,
+    origin,
     per_coefficient,
     showing,
 )
@@ -177,8 +178,8 @@ def test_a_fit_believes_of_what_is_always_there_what_the_sampler_does(expanded: 
     # Else it slides to a bound along what can hardly be told apart, and the sampler's linear model is one about there.
     expansion, _ = expanded
     groups = groups_of(expansion, [], stated())
-    none, n = np.zeros(len(groups.stop), dtype=np.int64), len(expansion.unit)
-    sampled = started(np.eye(n), np.zeros(n), groups.believed, none).precision[: groups.start]
+    every, n = np.ones(len(groups.stop), dtype=np.int64), len(expansion.unit)
+    sampled = started(np.eye(n), np.zeros(n), groups.believed, every).precision[: groups.start]
     held = expansion.precision(np.full(len(expansion.sizes), WIDER))[order(expansion)][: groups.start]
     np.testing.assert_array_equal(held, sampled)
 
@@ -242,6 +243,7 @@ def test_columns_and_residual_are_those_of_the_fit(expanded: tuple[Expansion, Fi
     expansion, fit = expanded
     problem = linear_gaussian(expansion, [(fit, [])])
     c, slope = expansion.coefficients(fit.theta)[order(expansion)], expansion.slope(fit.theta)
+    c = c - origin(expansion, fit)
     J = fit.metric(fit.at.J).reshape(len(fit.theta), -1) * (slope / fit.simulator.space.prior_std)[:, None]
     r = fit.metric(fit.residual).reshape(-1)
     scale = np.sqrt(np.diag(problem.H)) * np.linalg.norm(r) + 1e-9

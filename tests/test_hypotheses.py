@@ -186,7 +186,9 @@ def test_where_nothing_is_recorded_what_is_believed_comes_back(kind: str, expans
     # independent. Five standard deviations are allowed.
     believed = BELIEVED[kind](expansion)
     none = np.empty(0)
-    groups, n = Groups.of(believed, 1, low=none, high=none, outside=0.01), 1 + sum(len(one.low) for one in believed)
+    always = np.zeros((1, len(believed)), dtype=bool)
+    groups = Groups.of(believed, always, low=none, high=none, outside=0.01)
+    n = 1 + sum(len(one.low) for one in believed)
     shared, chain = Shared(missing=(1.0,), discrepant=(1.0,)), Chain(chains=2, sweeps=2050, forgotten=50, every=1)
     drawn = sample(np.zeros((n, n)), np.zeros(n), groups, shared, chain, np.random.default_rng(0))
     for k, one in enumerate(believed):

@@ -11,7 +11,7 @@ from scipy.stats import kstest, norm
 
 from vehicle_sbi import threads
 from vehicle_sbi.mismatch.selection.coefficient import log_box, log_square, mostly_within, off_zero
-from vehicle_sbi.mismatch.selection.gibbs import State, _drawn
+from vehicle_sbi.mismatch.selection.gibbs import HELD, State, _drawn
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Shared, sample
 from vehicle_sbi.mismatch.selection.inverse import factorise, set_precision
 from vehicle_sbi.mismatch.selection.likeness import UNLIKE, likeness
@@ -22,8 +22,8 @@ SHARED = Shared(missing=(0.1, 1.0), discrepant=(1.0,))
 
 
 def problem(*, bounded: bool) -> tuple[np.ndarray, np.ndarray, Groups]:
-    """Two columns that are always in, the first in a box, five that may be missing, of which two are nearly the same,
-    and a discrepancy of two columns that can stand for one of those."""
+    """A column that is always in, in a box, a shape of the second and fourth of five that may be missing, of which two
+    are nearly the same, and a discrepancy of two columns that can stand for one of those."""
     rng = np.random.default_rng(3)
     X = rng.standard_normal((9, 60))
     X[4] = X[3] + 0.3 * rng.standard_normal(60)
@@ -44,8 +44,15 @@ def problem(*, bounded: bool) -> tuple[np.ndarray, np.ndarray, Groups]:
         share=np.tile([1.0, 0.7, 0.3], (6, 1)),
         rate=np.array([0.1, 0.3, 0.3, 0.3, 0.5, 0.4]),
         named=np.array([True, True, True, True, True, False]),
+        shaped=np.array([[False, True, False, True, False, False]]),
     )
     return X @ X.T, X @ r, groups
+
+
+def always(groups: Groups, level: np.ndarray) -> np.ndarray:
+    """Precisions of what is in a box, and of shapes, which are held where nothing is there that they are of."""
+    there = (groups.shaped & (level > 0)).any(axis=1)
+    return np.concatenate([np.ones(groups.boxes), np.where(there, 1.0, HELD**-2)])
 
 
 def enumerated(H: np.ndarray, b: np.ndarray, groups: Groups) -> np.ndarray:
@@ -54,7 +61,7 @@ def enumerated(H: np.ndarray, b: np.ndarray, groups: Groups) -> np.ndarray:
     start, widths = groups.start, np.diff([groups.start, *groups.stop])
     for level in itertools.product(range(3), repeat=len(widths)):
         sd = np.array([groups.amplitude[g, k] for g, k in enumerate(level)])
-        precision = np.concatenate([np.ones(start), np.repeat(sd**-2, widths)])
+        precision = np.concatenate([always(groups, np.array(level)), np.repeat(sd**-2, widths)])
         A = H + np.diag(precision)
         mean, S = np.linalg.solve(A, b), np.linalg.inv(A)
         same = 0.5 * b @ mean - 0.5 * np.linalg.slogdet(A)[1] + 0.5 * np.log(precision).sum()
@@ -182,6 +189,7 @@ def test_coefficients_that_share_a_recording_are_drawn_from_their_joint_law(uppe
     groups = Groups(
         low=np.array([-1.0, -upper]), high=np.array([1.0, upper]), boxes=1, outside=0.01, start=1, stop=np.array([2]),
         amplitude=np.array([[0.1, 0.7]]), share=np.ones((1, 2)), rate=np.full(1, 0.5), named=np.ones(1, bool),
+        shaped=np.zeros((0, 1), bool),
     )  # fmt: skip
     draws = np.array([_drawn(H, groups.believed, state) for _ in range(N)])
     x = np.stack(np.meshgrid(np.linspace(-4.0, 5.0, 901), np.linspace(-4.0, 5.0, 901), indexing="ij"))
@@ -202,7 +210,7 @@ def test_means_are_those_of_the_normal_that_the_levels_give() -> None:
     widths = np.diff([groups.start, *groups.stop])
     for level, mean in zip(found.level, found.mean, strict=True):
         amplitude = np.array([groups.amplitude[g, k] for g, k in enumerate(level)])
-        precision = np.concatenate([np.ones(groups.start), np.repeat(amplitude**-2, widths)])
+        precision = np.concatenate([always(groups, level), np.repeat(amplitude**-2, widths)])
         S = np.linalg.inv(H + np.diag(precision))
         assert np.all(np.abs(mean - S @ b) < 1e-3 * np.sqrt(np.diag(S)))
 
@@ -223,6 +231,7 @@ def test_what_is_hardly_told_apart_follows_a_coefficient_into_its_bounds() -> No
     groups = Groups(
         low=np.array([-5.0, 0.0]), high=np.array([5.0, 0.5]), boxes=1, outside=1e-9, start=1, stop=np.array([2]),
         amplitude=np.array([[0.01, 1.5]]), share=np.ones((1, 2)), rate=np.full(1, 0.5), named=np.ones(1, bool),
+        shaped=np.zeros((0, 1), bool),
     )  # fmt: skip
     found = sample(H, b, groups, SHARED, Chain(chains=2, sweeps=400, forgotten=100), np.random.default_rng(0))
     there = found.coefficient[found.included[:, 0]]
@@ -271,7 +280,7 @@ def test_groups_are_as_alike_as_the_mean_squared_cosine_beside_what_is_always_th
     X[3, 3] = 1.0
     X[4, [1, 3]] = 1.0, 4.0  # with the row before a plane that holds row 1's direction
     X[5, 0] = 1.0  # taken over altogether
-    found = likeness(X @ X.T, 1, np.array([2, 3, 5, 6]))
+    found = likeness(X @ X.T, 1, 1, np.array([2, 3, 5, 6]))
     square, other = cosine**2, UNLIKE
     exact = [[1.0, square, 1.0, other], [square, 1.0, square, other], [1.0, square, 1.0, other]]
     assert found[:3] == pytest.approx(np.array(exact), abs=1e-6)  # 1e-8 of the first column's length stays in others

@@ -111,6 +111,18 @@ class Expansion:
         return np.max(np.abs(self.bounds), axis=0)
 
     @property
+    def shaping(self) -> Bool[np.ndarray, " d"]:
+        """Which parameters give effects their shapes, and so do nothing where those are not missing."""
+        return np.arange(len(self.space)) >= len(self.base) + len(self.sizes)
+
+    @property
+    def shaped(self) -> Bool[np.ndarray, "shapes groups"]:
+        """Which groups of sizes are of the effect that each shape is of."""
+        firsts = np.cumsum([0, *self.groups[:-1]])
+        of = np.array([_effect(self.sizes[k]) for k in firsts], dtype=object)
+        return np.array([of == _effect(p) for p in self.shapes], dtype=bool).reshape(len(self.shapes), len(of))
+
+    @property
     def groups(self) -> list[int]:
         """How many neighbouring sizes are missing together: those of a profile over time, any other by itself."""
         of = [p.name.rstrip("0123456789") for p in self.sizes]
@@ -275,6 +287,10 @@ def _substeps(fit: Fit) -> Int[np.ndarray, " windows"]:
     stiff = np.array([p.name.startswith("C_") for p in space.parameters])
     theta = np.clip(np.where(stiff, STIFFER, 1.0) * fit.theta, space.low, space.high)
     return steps_at(simulator, theta[None], slowest(simulator, fit.theta[None])[0], STABLE)
+
+
+def _effect(p: Parameter) -> str:
+    return p.name.split(".")[0]
 
 
 def _middle(p: Parameter) -> float:

@@ -4,6 +4,9 @@
 
 Columns are those of parameters, in units in which they are believed to be about 1, and those of discrepancies. Further
 recordings add their products: parameters are the same there, discrepancies have coefficients of their own.
+
+Shapes of effects are counted from the fit on (`origin`): of an effect that is not missing there is no shape, so that
+its columns have to come to nothing, as they do there.
 """
 
 from collections.abc import Sequence
@@ -82,6 +85,12 @@ def order(expansion: Expansion) -> np.ndarray:
     return np.concatenate([base, shapes, sizes])
 
 
+def origin(expansion: Expansion, fit: Fit) -> Float[np.ndarray, " d"]:
+    """Coefficients, in the order of the columns, of what the linear model's are zero at: shapes as they are fitted, and
+    `rest` of all others."""
+    return np.where(expansion.shaping, expansion.coefficients(fit.theta), 0.0)[order(expansion)]
+
+
 def per_coefficient(expansion: Expansion, fit: Fit) -> Float[np.ndarray, " d"]:
     """By how many of the boxes' standard deviations parameters grow with their coefficients."""
     return expansion.slope(fit.theta) / fit.simulator.space.prior_std
@@ -90,5 +99,5 @@ def per_coefficient(expansion: Expansion, fit: Fit) -> Float[np.ndarray, " d"]:
 def _columns(expansion: Expansion, fit: Fit) -> tuple[Float[np.ndarray, "d samples"], Float[np.ndarray, " samples"]]:
     """What parameters do per unit of their coefficients, and the residual from where all coefficients are zero."""
     X = fit.white * per_coefficient(expansion, fit)[:, None]
-    r = fit.metric(fit.residual).reshape(-1) + expansion.coefficients(fit.theta) @ X
-    return X[order(expansion)], r
+    X, off = X[order(expansion)], expansion.coefficients(fit.theta)[order(expansion)] - origin(expansion, fit)
+    return X, fit.metric(fit.residual).reshape(-1) + off @ X

@@ -49,6 +49,6 @@ def compile_sampler() -> None:
     """Sample a problem of three columns."""
     one = np.ones(1)
     belief = Belief(named=True, rate=0.5, nothing=0.01, amplitude=one, share=one, low=-one, high=one)
-    groups = Groups.of([belief, belief], COLUMNS - 2, low=-one, high=one, outside=0.1)
+    groups = Groups.of([belief, belief], np.zeros((0, 2), dtype=bool), low=-one, high=one, outside=0.1)
     chain = Chain(chains=1, sweeps=2, forgotten=0, every=1)
     sample(np.eye(COLUMNS), np.ones(COLUMNS), groups, Shared(), chain, np.random.default_rng(0))

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from vehicle_sbi.inference.directions import Direction
 from vehicle_sbi.inference.effect_prior import EffectPrior
@@ -29,6 +29,7 @@ from vehicle_sbi.mismatch.estimation.linear_gaussian import (
     beyond_base,
     linear_gaussian,
     order,
+    origin,
     showing,
 )
 from vehicle_sbi.mismatch.estimation.to_nulls import to_nulls
@@ -217,7 +218,8 @@ class _Asked:
         problem = linear_gaussian(expansion, [*zip(about, map(_columns, off), strict=False)])
         groups = groups_of(expansion, [*itertools.chain(*off)], self.prior)
         ahead.wait()
-        return _Told(now, fit, off[0], problem, sample(problem.H, problem.b, groups, Shared(), chain, self.rng))
+        drawn = sample(problem.H, problem.b, groups, Shared(), chain, self.rng)
+        return _Told(now, fit, off[0], problem, drawn.about(origin(expansion, fit)))
 
 
 def _by_name(
@@ -246,11 +248,16 @@ def groups_of(expansion: Expansion, off: Sequence[Discrepancy], prior: EffectPri
     own, space = len(expansion.base), expansion.space
     return Groups.of(
         believed(expansion, off, prior),
-        len(expansion.unit) - len(expansion.sizes),
+        _shaped(expansion, len(off)),
         low=expansion.coefficients(space.low)[:own],
         high=expansion.coefficients(space.high)[:own],
         outside=prior.outside,
     )
+
+
+def _shaped(expansion: Expansion, off: int) -> Bool[np.ndarray, "shapes groups"]:
+    """Which effects' sizes, and no discrepancies, the shapes are of."""
+    return np.pad(expansion.shaped, ((0, 0), (0, off)))
 
 
 def _theta(expansion: Expansion, coefficient: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n d"]:

@@ -18,10 +18,12 @@ from vehicle_sbi.mismatch.selection.inverse import LEAST, along, factorise, roun
 REFRESHED = 20  # sweeps after which S is factorised anew, against rounding
 REDRAWN = 10  # times that each coefficient of a draw is drawn given all others
 SWAPS = 6  # of two groups' states, tried in a sweep
+HELD = 1e-3  # standard deviation of the shape of what is not there
 
 
 class Believed(NamedTuple):
-    """What is believed of groups, for compiled functions; group g has columns from first[g] to stop[g]."""
+    """What is believed of groups, for compiled functions; group g has columns from first[g] to stop[g]. Column boxes + i
+    is a shape of the groups g for which shaped[i, g], if there are any, and held where none of them is there."""
 
     first: np.ndarray
     stop: np.ndarray
@@ -32,6 +34,7 @@ class Believed(NamedTuple):
     high: np.ndarray
     boxes: int
     outside: float
+    shaped: np.ndarray
 
 
 class State(NamedTuple):
@@ -131,6 +134,35 @@ def _level_evidence(g, believed, state):
 
 
 @compiled_apart
+def _own_shapes(g, believed, level):
+    """Columns of shapes that are free if a group is there and held if it is not, whichever it is now."""
+    own = np.empty(len(believed.shaped), np.int64)
+    count = 0
+    for i in range(len(believed.shaped)):
+        alone = believed.shaped[i, g]
+        for h in range(len(level)):
+            if h != g and level[h] > 0 and believed.shaped[i, h]:
+                alone = False
+        if alone:
+            own[count] = believed.boxes + i
+            count += 1
+    return own[:count]
+
+
+@compiled_apart
+def _shape(columns, free, state):
+    """Free shapes, or hold them; the change of log evidence without that of masses within bounds."""
+    gained, to = 0.0, 1.0 if free else HELD**-2
+    for j in columns:
+        d = to - state.precision[j]
+        if d != 0.0:
+            grown = max(1.0 + d * max(state.S[j, j], 0.0), LEAST)
+            gained += 0.5 * (math.log(to / state.precision[j]) - math.log(grown) - d * state.m[j] ** 2 / grown)
+            set_precision(j, j + 1, to, state.precision, state.S, state.m)
+    return gained
+
+
+@compiled_apart
 def _width(g, level, believed):
     """Standard deviation of a named coefficient in a slab; 0 in its spike, and of groups of several columns."""
     alone = believed.stop[g] - believed.first[g] == 1
@@ -199,6 +231,9 @@ def started(H, b, believed, begin):
     n = len(b)
     precision, slab = np.ones(n), np.zeros(n)
     for g in range(len(begin)):
+        if begin[g] == 0:
+            for j in _own_shapes(g, believed, begin):
+                precision[j] = HELD**-2
         for j in range(believed.first[g], believed.stop[g]):
             precision[j] = believed.amplitude[g, begin[g]] ** -2
             slab[j] = _width(g, begin[g], believed)
@@ -253,7 +288,7 @@ def _factors(missings, discrepants, discrepant, rate_odds, believed, level):
 @compiled_apart
 def _log_weights(g, odds, believed, state):
     """Of each level of a group the log of prior and evidence, over those of the first."""
-    weight, share = _level_evidence(g, believed, state), believed.share
+    weight, share = _shaped_evidence(g, believed, state), believed.share
     nothing = weight[0]
     weight[0] = 0.0
     for k in range(1, len(weight)):
@@ -262,8 +297,24 @@ def _log_weights(g, odds, believed, state):
 
 
 @compiled_apart
+def _shaped_evidence(g, believed, state):
+    """Of each level of a group the change of log evidence, with its shapes free in all but the first."""
+    found, own = _level_evidence(g, believed, state), _own_shapes(g, believed, state.level)
+    if len(own) == 0:
+        return found
+    there, precision, S, m = state.level[g] > 0, state.precision.copy(), state.S.copy(), state.m.copy()
+    gained = _shape(own, not there, state)
+    other = _level_evidence(g, believed, state)
+    for k in range(len(found)):
+        if (k > 0) != there:
+            found[k] = other[k] + gained
+    state.precision[:], state.S[:], state.m[:] = precision, S, m
+    return found
+
+
+@compiled_apart
 def _put(g, to, H, b, believed, state):
-    """Give a group another level.
+    """Give a group another level, and free or hold its shapes.
 
     Where groups that are like each other come and go, rounding grows by up to their ratio of precisions each time.
     """
@@ -274,7 +325,12 @@ def _put(g, to, H, b, believed, state):
     state.level[g] = to
     for j in range(first, stop):
         state.slab[j] = _width(g, to, believed)
-    if rounded(first, H, state.precision, state.S):
+    own = _own_shapes(g, believed, state.level)
+    _shape(own, to > 0, state)
+    off = rounded(first, H, state.precision, state.S)
+    for j in own:
+        off = off or rounded(j, H, state.precision, state.S)
+    if off:
         factorise(H, b, state.precision, state.S, state.m)
 
 

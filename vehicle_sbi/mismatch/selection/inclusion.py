@@ -13,7 +13,7 @@ those of the states that are kept are drawn afterwards. The chain is in `gibbs`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -38,9 +38,11 @@ class Chain:
 class Groups:
     """What is believed of groups of neighbouring columns, as arrays.
 
-    `stop` is where each group's columns end; those before `start` are always there, with a precision of 1. The first
-    `boxes` of these lie within `low` and `high`, but with probability `outside`; a named coefficient does where it is
-    missing. Levels begin with nothing, the spike of a named group, and end with zeros where a group has fewer.
+    `stop` is where each group's columns end. The first `boxes` columns are always there, with a precision of 1, and lie
+    within `low` and `high`, but with probability `outside`; a named coefficient does where it is missing. Those from
+    there to `start` are shapes of the groups that `shaped` says: there where any of these is, and held to zero where
+    none is. One of no group is always there. Levels begin with nothing, the spike of a named group, and end with zeros
+    where a group has fewer.
     """
 
     low: Float[np.ndarray, " n"]
@@ -53,19 +55,21 @@ class Groups:
     share: Float[np.ndarray, "k levels"]
     rate: Float[np.ndarray, " k"]
     named: Bool[np.ndarray, " k"]
+    shaped: Bool[np.ndarray, "shapes k"]
 
     @classmethod
     def of(
         cls,
         believed: Sequence[Belief],
-        start: int,
+        shaped: Bool[np.ndarray, "shapes k"],
         *,
         low: Float[np.ndarray, " boxes"],
         high: Float[np.ndarray, " boxes"],
         outside: float,
     ) -> "Groups":
-        """Hypotheses one after another, behind so many columns that are always there, the first of them in boxes."""
-        levels, free = max((len(one.amplitude) for one in believed), default=0), np.full(start - len(low), np.inf)
+        """Hypotheses one after another, behind what lies in boxes and the shapes of some of them."""
+        levels, free = max((len(one.amplitude) for one in believed), default=0), np.full(len(shaped), np.inf)
+        start = len(low) + len(shaped)
         return cls(
             low=np.concatenate([low, -free, *(one.low for one in believed)]),
             high=np.concatenate([high, free, *(one.high for one in believed)]),
@@ -77,6 +81,7 @@ class Groups:
             share=np.array([_levels(1.0, one.share, levels) for one in believed]),
             rate=np.array([one.rate for one in believed]),
             named=np.array([one.named for one in believed]),
+            shaped=shaped,
         )
 
     @property
@@ -84,7 +89,16 @@ class Groups:
         """The same for the chain."""
         first = np.concatenate([[self.start], self.stop[:-1]])
         return Believed(
-            first, self.stop, self.amplitude, self.share, self.named, self.low, self.high, self.boxes, self.outside
+            first=first,
+            stop=self.stop,
+            amplitude=self.amplitude,
+            share=self.share,
+            named=self.named,
+            low=self.low,
+            high=self.high,
+            boxes=self.boxes,
+            outside=self.outside,
+            shaped=self.shaped,
         )
 
 
@@ -116,6 +130,11 @@ class Sampled:
         """Whether each group is away from its first level."""
         return self.level > 0
 
+    def about(self, origin: Float[np.ndarray, " first"]) -> "Sampled":
+        """With the coefficients of the first columns counted from where an origin is not zero."""
+        shift = np.pad(origin, (0, self.mean.shape[1] - len(origin)))
+        return replace(self, coefficient=self.coefficient + shift, mean=self.mean + shift)
+
 
 def sample(
     H: Float[np.ndarray, "n n"],
@@ -127,7 +146,7 @@ def sample(
 ) -> Sampled:
     """Draws from the posterior over states and coefficients; chains start with all groups in and with none, in turn,
     and run beside each other on as many threads as simulations do."""
-    alike, odds = likeness(H, groups.start, groups.stop), groups.rate / (1.0 - groups.rate)
+    alike, odds = likeness(H, groups.boxes, groups.start, groups.stop), groups.rate / (1.0 - groups.rate)
     factors = np.array(shared.missing), np.array(shared.discrepant)
     counts = chain.sweeps, chain.forgotten, chain.every
 
