@@ -239,6 +239,9 @@ CATALOGUE: Mapping[str, Effect] = {
 EFFECT_PARAMETERS: Mapping[str, Parameter] = {p.name: p for effect in CATALOGUE.values() for p in effect.parameters}
 DEAD_TIMES = tuple(p.name for e in CATALOGUE.values() if e.source == DEAD_TIME for p in e.parameters)
 
+# Curves that a tyre may have, of which the recording's is a mixture.
+TYRE_CURVES = ("tyre_curve.peak", "tyre_curve.fullness", "tyre_curve.early")
+
 # What belongs to the road and the air rather than to the car and has a side or a direction: fields of the record, each
 # with the one whose value it takes, with the other sign, for a car that comes the other way along the same road.
 ONCOMING: Mapping[str, str] = {

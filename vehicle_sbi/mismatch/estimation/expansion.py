@@ -233,6 +233,23 @@ class Expansion:
         best = with_own_noise(onwards(relinearised(best, best.theta), STEPS), NOISE_ROUNDS, NOISE_STEPS)
         return relinearised(best, best.theta)
 
+    def likelier(
+        self,
+        observation: Observation,
+        rms: Float[np.ndarray, " sizes"],
+        starts: Sequence[Float[np.ndarray, " d"]],
+    ) -> Fit | None:
+        """Where a few steps from the best of some starts lead; None where the simulation fails at all of them."""
+        return _likeliest(each(lambda start: self._led(observation, rms, start, (1.0,), FIRST_STEPS), starts))
+
+    def alone(self, theta: Float[np.ndarray, " d"], sizes: Int[np.ndarray, " k"]) -> list[Float[np.ndarray, " d"]]:
+        """Points with one of some sizes each, as large as effects are shrunk to at first, in the place of all."""
+        c, own = self.coefficients(theta), len(self.base) + sizes
+        sign = np.where(c[own].sum() < 0.0, -1.0, 1.0)
+        alone = np.tile(np.where(np.isin(np.arange(len(c)), own), 0.0, c), (len(own), 1))
+        alone[np.arange(len(own)), own] = sign * WIDER
+        return [*np.clip(self.theta(alone), self.space.low, self.space.high)]
+
     def _led(
         self,
         observation: Observation,

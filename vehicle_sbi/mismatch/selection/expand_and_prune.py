@@ -41,8 +41,10 @@ from vehicle_sbi.mismatch.selection import ahead
 from vehicle_sbi.mismatch.selection.inclusion import Chain, Groups, Sampled, Shared, sample
 from vehicle_sbi.mismatch.selection.pruned import Pruned, folded, pooled
 from vehicle_sbi.parameters import Parameter
+from vehicle_sbi.physics.effects import TYRE_CURVES
 
 LEAST_RMS = 0.02  # typical sizes, within which an effect that is out is held
+PRESENT = 0.3  # typical sizes at root mean square, from which an effect counts as there when curves are tried
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +83,24 @@ class _Round:
 
     def fitted(self) -> Fit | None:
         return self.expansion.fitted(self.observation, self.start, self.rms)
+
+    def bent(self) -> "_Round":
+        """From the likeliest of the curves that tyres may have, if they bend at all: each alone in the place of the
+        mixture, with the effects that are there. It may be likelier than any mixture on the way to it."""
+        expansion, names = self.expansion, [p.name for p in self.expansion.sizes]
+        curves = np.array([names.index(name) for name in TYRE_CURVES if name in names], dtype=np.int64)
+        there = self.rms > PRESENT
+        if len(curves) < 2 or not there[curves].any():
+            return self
+        there[curves] = True
+        rms = np.where(np.isin(np.arange(len(names)), curves), np.maximum(self.rms, WIDER), self.rms)
+        small = expansion.only([*itertools.compress(names, there)])
+        free, points = small.space.parameters, [self.start, *expansion.alone(self.start, curves)]
+        starts = [_by_name(expansion.space.parameters, theta, free, small.rest) for theta in points]
+        fit = small.likelier(self.observation.freeing(free), rms[there], starts)
+        if fit is None:
+            return self
+        return replace(self, start=_by_name(free, fit.theta, expansion.space.parameters, self.start), rms=rms)
 
     def widened(self, expansion: Expansion) -> "_Round":
         """With more that is free, at its null."""
@@ -135,7 +155,7 @@ def _annealed(now: _Round, prior: EffectPrior, rng: np.random.Generator, budget:
             break
         asked = asked or _Asked.about(fit, recorded.observed, None, prior, rng)
         now = asked.told(now, fit, budget.first).again(recorded)
-    return replace(now, observation=under_white(recorded, 1.0))
+    return replace(now, observation=under_white(recorded, 1.0)).bent()
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ HELD = 1e-3  # standard deviation of the shape of what is not there
 
 
 class Believed(NamedTuple):
-    """What is believed of groups, for compiled functions; group g has columns from first[g] to stop[g]. Column boxes + i
-    is a shape of the groups g for which shaped[i, g], if there are any, and held where none of them is there."""
+    """What is believed of groups, for compiled functions; group g has columns from first[g] to stop[g]. Column
+    boxes + i is a shape of the groups g for which shaped[i, g], if there are any, and held where none of them is."""
 
     first: np.ndarray
     stop: np.ndarray

@@ -28,8 +28,8 @@ def likeness(
 
 
 def _beside(H: Float[np.ndarray, "n n"], always: int, start: int) -> Float[np.ndarray, "m m"]:
-    """Products of what is left of columns from `start` on after the first take over what they can, scaled to ones on the
-    diagonal."""
+    """Products of what is left of columns from `start` on after the first take over what they can, scaled to ones on
+    the diagonal."""
     taken = np.linalg.solve(H[:always, :always] + np.eye(always), H[:always, start:])
     left = H[start:, start:] - H[start:, :always] @ taken
     scale = np.sqrt(np.maximum(np.diag(left), HARDLY * np.diag(H)[start:]) + np.finfo(float).tiny)
