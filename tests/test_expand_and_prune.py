@@ -37,6 +37,7 @@ from vehicle_sbi.mismatch.selection.inclusion import Chain
 from vehicle_sbi.mismatch.selection.pruned import Pruned, folded
 from vehicle_sbi.parameters import Parameter
 from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.physics.single_track import INPUTS
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
 
@@ -182,6 +183,52 @@ def test_a_fit_believes_of_what_is_always_there_what_the_sampler_does(expanded: 
     sampled = started(np.eye(n), np.zeros(n), groups.believed, every).precision[: groups.start]
     held = expansion.precision(np.full(len(expansion.sizes), WIDER))[order(expansion)][: groups.start]
     np.testing.assert_array_equal(held, sampled)
+
+
+def test_shapes_are_of_the_sizes_of_their_own_effects_alone(
+    expanded: tuple[Expansion, Fit], discrepant: list[Discrepancy]
+) -> None:
+    expansion, fit = expanded
+    groups = groups_of(expansion, discrepant, stated())
+    ends = np.cumsum(expansion.groups) - 1
+    assert groups.shaped.shape == (len(expansion.shapes), len(ends) + len(discrepant))
+    for p, row in zip(expansion.shapes, groups.shaped, strict=True):
+        effects = {expansion.sizes[ends[k]].name.split(".")[0] for k in np.flatnonzero(row)}
+        assert effects == {p.name.split(".")[0]}
+    held = origin(expansion, fit)
+    shapes = slice(len(expansion.base), len(expansion.base) + len(expansion.shapes))
+    np.testing.assert_array_equal(held[shapes], expansion.coefficients(fit.theta)[-len(expansion.shapes) :])
+    held[shapes] = 0.0
+    assert not held.any()
+
+
+def test_one_of_several_sizes_takes_the_place_of_all(base: Fit) -> None:
+    known = directions(base.simulator, base.theta, CATALOGUE["gyro_bias"])
+    known += directions(base.simulator, base.theta, CATALOGUE["accelerometer_bias"])
+    expansion, k = Expansion.of(base.simulator.space, known, stated()), len(base.theta)
+    sizes = np.arange(len(expansion.sizes))
+    for sign in (-1.0, 1.0):
+        c = np.zeros(len(expansion.space))
+        c[k + sizes] = sign * np.linspace(0.1, 0.2, len(sizes))
+        found = expansion.coefficients(np.array(expansion.alone(expansion.theta(c), sizes)))
+        np.testing.assert_allclose(found[:, k:], sign * WIDER * np.eye(len(sizes)), atol=1e-12)
+        np.testing.assert_allclose(found[:, :k], 0.0, atol=1e-12)
+
+
+def test_a_tyre_is_given_the_curve_that_it_has_from_a_mixture_of_others() -> None:
+    # Three times the steering takes the tyres to where they slide, and so tells how they bend before.
+    mild = lateral(seconds=12.0)
+    u = mild.windows.u.copy()
+    u[..., INPUTS.index("steering")] *= 3.0
+    base = fitted(recorded(replace(mild, windows=replace(mild.windows, u=u)), tyre_curve__fullness=0.9))
+    known = directions(base.simulator, base.theta, CATALOGUE["tyre_curve"])
+    now = pruning._Round.first(base, Expansion.of(base.simulator.space, known, stated()))
+    assert now.bent() is now  # where no tyre bends
+    start, names = now.start.copy(), now.expansion.space.names
+    start[names.index("tyre_curve.early")] = 0.5
+    found = dict(zip(names, replace(now, start=start, rms=np.full_like(now.rms, WIDER)).bent().start, strict=True))
+    assert found["tyre_curve.fullness"] > 0.6
+    assert found["tyre_curve.early"] < 0.2
 
 
 def test_where_all_effects_are_at_their_nulls_the_linear_model_is_that_of_the_fit(
