@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 import yaml
-from test_export import comments, diagnosis_of, line_of, numbers, shown, texts
+from exports import comments, diagnosis_of, line_of, numbers, shown, texts
 
 from vehicle_sbi.errors import InputError
 from vehicle_sbi.mismatch.estimation.estimate import drawn

@@ -20,9 +20,9 @@ import pytest
 import yaml
 from asammdf import MDF, Signal
 from cars import finished, record_of
+from exports import shown
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from test_export import shown
 
 from vehicle_sbi.data.formats.ros_definitions import DEFINITIONS
 from vehicle_sbi.physics.sensors import MEASUREMENTS
