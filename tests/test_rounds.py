@@ -33,6 +33,7 @@ from vehicle_sbi.inference.rounds import (
     without_failures,
 )
 from vehicle_sbi.inference.training import Training
+from vehicle_sbi.parameters import ParameterSpace
 from vehicle_sbi.report.results import FIRST_DRAWS, first_answer
 from vehicle_sbi.rng import Stream
 
@@ -316,6 +317,16 @@ def test_where_the_likelihood_is_not_known_the_first_answer_is_the_fit_and_the_s
     mean, std = means_and_stds(answer, simulator.space.names)
     assert (np.abs(mean - fit) <= 0.05 * std).all()
     np.testing.assert_allclose(std, np.sqrt(np.diag(covariance)), rtol=0.05)
+
+
+def test_a_first_answer_says_which_parameters_lie_on_the_edge_of_their_priors() -> None:
+    study = problem()
+    (first, *others), low = study.simulator.space.parameters, study.laplace.marginal[0][0]
+    narrow = ParameterSpace((replace(first, low=float(low)), *others))
+    lines = first_answer(replace(study, simulator=replace(study.simulator, space=narrow))).splitlines()
+    assert f"{first.name}" in lines[1]
+    assert "on the edge of its prior" in lines[1]
+    assert not any("edge" in line for line in lines[2:])
 
 
 def test_where_no_fit_explains_the_recording_there_is_no_first_answer() -> None:

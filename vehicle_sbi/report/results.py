@@ -19,7 +19,7 @@ from vehicle_sbi.inference.reweighting import draws_about_the_fit, posterior_dra
 from vehicle_sbi.inference.rounds import Inference, Problem
 from vehicle_sbi.inference.simulator import STIFFNESSES
 from vehicle_sbi.inference.study import Prepared
-from vehicle_sbi.parameters import ParameterSpace
+from vehicle_sbi.parameters import Parameter, ParameterSpace
 from vehicle_sbi.report import netcdf
 from vehicle_sbi.report.figures import contraction_bars, losses, pairplot
 from vehicle_sbi.report.figures import predictive as predictive_figure
@@ -105,10 +105,15 @@ def _said_first(space: ParameterSpace, mean: np.ndarray, std: np.ndarray, how: s
     """A line for each parameter, below how it was found."""
     width = max(map(len, space.names))
     said = [
-        f"  {p.name:<{width}}  {mean_and_std(x, s)} {p.unit}".removesuffix(" 1")
+        f"  {p.name:<{width}}  {mean_and_std(x, s)} {p.unit}".removesuffix(" 1") + _at_an_edge(p, x)
         for p, x, s in zip(space.parameters, mean, std, strict=True)
     ]
     return "\n".join([f"First answer, {how}. The posterior follows.", *said, ""])
+
+
+def _at_an_edge(p: Parameter, mean: float) -> str:
+    edge = on_edge(mean, p.low, p.high, p.null)
+    return f" (on the edge of its prior, {p.low:g} to {p.high:g}: the model may lack something)" if edge else ""
 
 
 def report(folder: RunFolder, prepared: Prepared, inference: Inference, *, samples: int, reweight: bool) -> None:
