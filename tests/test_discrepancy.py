@@ -21,6 +21,14 @@ def test_columns_of_a_group_are_orthogonal_in_units_of_the_noise(here) -> None:
         assert np.all(np.diff(np.diag(products)) <= 1e-9 * products.max())
 
 
+def test_what_does_not_change_is_no_discrepancy(here) -> None:
+    # A constant force is a bank or a side wind, a constant error an offset or a bias.
+    _, found = here
+    for one in found:
+        size = np.sqrt(np.mean(one.course**2, axis=1))
+        assert one.course.mean(axis=1) / size == pytest.approx(np.zeros(len(size)), abs=1e-9)
+
+
 def test_a_sensor_s_course_is_what_its_series_are(here) -> None:
     fit, found = here
     for one in (one for one in found if one.target.row is not None):

@@ -1,8 +1,9 @@
 """Discrepancy: loads and errors that no effect of the catalogue stands for, as columns of a linear model.
 
 Each target (a force along x or y, a moment about z, the road wheels' angle, each channel's sensor) may be off along
-the drive's signals, or on a smooth course of its own (after Kennedy and O'Hagan 2001). A group's columns are the
-singular directions of what that does to the series, so that one amplitude, in physical units, says how large it is.
+the drive's signals, or on a smooth course of its own (after Kennedy and O'Hagan 2001). Courses are about their means:
+what does not change is the catalogue's (a bank, a side wind, an offset, a bias). A group's columns are the singular
+directions of what that does to the series, so that one amplitude, in physical units, says how large it is.
 """
 
 from collections.abc import Sequence
@@ -125,6 +126,7 @@ def _responses(
     scale: float,
 ) -> list[Response]:
     """Of each target, `scale` being the share of its largest size in each course."""
+    courses = {name: course - course.mean() for name, course in courses.items()}
     given = [Law(target, name, course) for target in acting for name, course in courses.items()]
     slopes = np.nan_to_num(law_slopes(fit.simulator, fit.theta, fit.at.y, given))
     by_target = slopes.reshape(len(acting), len(courses), *fit.at.y.shape)
