@@ -24,9 +24,7 @@ from vehicle_sbi.report.page import page, parts
 from vehicle_sbi.report.page.diagnosis import (
     CLAUSES,
     GROUPS,
-    NOT_TOLD,
     _bars,
-    _base,
     _explained,
     _range,
     _unknown,
@@ -38,6 +36,7 @@ from vehicle_sbi.report.page.parts import Listed, Picture, Section, Table, Words
 from vehicle_sbi.report.page.run import headline
 from vehicle_sbi.report.page.thinning import thinned
 from vehicle_sbi.report.run_folder import RunFolder
+from vehicle_sbi.report.tables.base_parameters import NOT_TOLD, base_for_people
 
 TEMPLATES = Path(page.__file__).parent / "templates"
 LARGEST = 5_000_000  # bytes of a page
@@ -135,9 +134,8 @@ def test_a_base_parameter_that_is_not_identified_is_said_so_on_the_page() -> Non
     p = Parameter(name="l_f", unit="m", low=1.0, high=1.5, fields=("l_f",))
     for identified, remark in ((True, ""), (False, NOT_TOLD)):
         values: Any = {"before": e, "after": e, "unit": "m", "identified": identified}
-        answer: Any = SimpleNamespace(base_parameters={"l_f": values})
         assert _range(p, values).remark == remark
-        assert [*_base(answer)["identified"]] == [remark or "yes"]
+        assert [*base_for_people({"l_f": values})["identified"]] == [remark or "yes"]
 
 
 def test_a_table_wraps_what_is_prose_and_keeps_numbers_and_names_on_a_line() -> None:
