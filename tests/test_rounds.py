@@ -321,8 +321,9 @@ def test_where_the_likelihood_is_not_known_the_first_answer_is_the_fit_and_the_s
 
 def test_a_first_answer_says_which_parameters_lie_on_the_edge_of_their_priors() -> None:
     study = problem()
-    (first, *others), low = study.simulator.space.parameters, study.laplace.marginal[0][0]
-    narrow = ParameterSpace((replace(first, low=float(low)), *others))
+    assert study.laplace is not None
+    first, *others = study.simulator.space.parameters
+    narrow = ParameterSpace((replace(first, low=float(study.laplace.marginal[0][0])), *others))
     lines = first_answer(replace(study, simulator=replace(study.simulator, space=narrow))).splitlines()
     assert f"{first.name}" in lines[1]
     assert "on the edge of its prior" in lines[1]
