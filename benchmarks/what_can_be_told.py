@@ -30,7 +30,7 @@ from whole_car.scores import Scored, by_selection, parameters, scored
 
 from vehicle_sbi.files import write_text
 from vehicle_sbi.inference.effect_prior import EffectPrior
-from vehicle_sbi.mismatch.estimation.linear_gaussian import order
+from vehicle_sbi.mismatch.estimation.linear_gaussian import order, origin
 from vehicle_sbi.report.tables.text import markdown
 
 SEED = 1  # of the noise
@@ -47,11 +47,14 @@ def truth_of(given: Problem, truth: Mapping[str, Any]) -> Float[np.ndarray, " d"
     sizes = {p.name for p in expansion.sizes}
     rest = dict(zip(expansion.space.names, expansion.rest, strict=True))
     mean = dict(zip(expansion.space.names, found.theta.mean(axis=0), strict=True))
+    fitted = dict(zip(expansion.space.names, found.fit.theta, strict=True))
+    shapes = {p.name for p in expansion.shapes}
 
     def value(name: str) -> float:
         if name in stated:
             return float(stated[name])
-        return float(rest[name] if name in sizes and name.split(".")[0] not in here else mean[name])
+        absent = name.split(".")[0] not in here
+        return float((rest if absent and name in sizes else fitted if absent and name in shapes else mean)[name])
 
     return np.array([value(name) for name in expansion.space.names])
 
@@ -60,7 +63,7 @@ def exact(given: Problem, theta: Float[np.ndarray, " d"], rng: np.random.Generat
     """The problem of recordings that the linear model makes of these parameters."""
     H, expansion = given.linear.H, given.pruned.expansion
     c = np.zeros(len(H))
-    c[: len(theta)] = expansion.coefficients(theta)[order(expansion)]
+    c[: len(theta)] = expansion.coefficients(theta)[order(expansion)] - origin(expansion, given.pruned.fit)
     size, axes = np.linalg.eigh(H)
     noise = axes @ (np.sqrt(np.maximum(size, 0.0)) * rng.standard_normal(len(H)))
     return replace(given, linear=replace(given.linear, b=H @ c + noise))

@@ -112,7 +112,7 @@ class Expansion:
 
     @property
     def shaping(self) -> Bool[np.ndarray, " d"]:
-        """Which parameters give effects their shapes, and so do nothing where those are not missing."""
+        """Which parameters give effects their shapes, and so change nothing where those are not missing."""
         return np.arange(len(self.space)) >= len(self.base) + len(self.sizes)
 
     @property

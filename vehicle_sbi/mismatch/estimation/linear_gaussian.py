@@ -5,8 +5,8 @@
 Columns are those of parameters, in units in which they are believed to be about 1, and those of discrepancies. Further
 recordings add their products: parameters are the same there, discrepancies have coefficients of their own.
 
-Shapes of effects are counted from the fit on (`origin`): of an effect that is not missing there is no shape, so that
-its columns have to come to nothing, as they do there.
+Shapes of effects (a side wind's lever) are counted from the fit on (`origin`). Where an effect is not missing its
+shapes are held there, so that their columns change nothing.
 """
 
 from collections.abc import Sequence
