@@ -63,7 +63,7 @@ def exact(given: Problem, theta: Float[np.ndarray, " d"], rng: np.random.Generat
     """The problem of recordings that the linear model makes of these parameters."""
     H, expansion = given.linear.H, given.pruned.expansion
     c = np.zeros(len(H))
-    c[: len(theta)] = expansion.coefficients(theta)[order(expansion)] - origin(expansion, given.pruned.fit)
+    c[: len(theta)] = expansion.coefficients(theta)[order(expansion)] - origin(expansion, given.pruned.fit.theta)
     size, axes = np.linalg.eigh(H)
     noise = axes @ (np.sqrt(np.maximum(size, 0.0)) * rng.standard_normal(len(H)))
     return replace(given, linear=replace(given.linear, b=H @ c + noise))

@@ -195,7 +195,7 @@ def test_shapes_are_of_the_sizes_of_their_own_effects_alone(
     for p, row in zip(expansion.shapes, groups.shaped, strict=True):
         effects = {expansion.sizes[ends[k]].name.split(".")[0] for k in np.flatnonzero(row)}
         assert effects == {p.name.split(".")[0]}
-    held = origin(expansion, fit)
+    held = origin(expansion, fit.theta)
     shapes = slice(len(expansion.base), len(expansion.base) + len(expansion.shapes))
     np.testing.assert_array_equal(held[shapes], expansion.coefficients(fit.theta)[-len(expansion.shapes) :])
     held[shapes] = 0.0
@@ -290,7 +290,7 @@ def test_columns_and_residual_are_those_of_the_fit(expanded: tuple[Expansion, Fi
     expansion, fit = expanded
     problem = linear_gaussian(expansion, [(fit, [])])
     c, slope = expansion.coefficients(fit.theta)[order(expansion)], expansion.slope(fit.theta)
-    c = c - origin(expansion, fit)
+    c = c - origin(expansion, fit.theta)
     J = fit.metric(fit.at.J).reshape(len(fit.theta), -1) * (slope / fit.simulator.space.prior_std)[:, None]
     r = fit.metric(fit.residual).reshape(-1)
     scale = np.sqrt(np.diag(problem.H)) * np.linalg.norm(r) + 1e-9

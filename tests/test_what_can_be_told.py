@@ -13,7 +13,6 @@ from vehicle_sbi.mismatch.estimation.expansion import Expansion
 from vehicle_sbi.mismatch.estimation.linear_gaussian import LinearGaussian
 from vehicle_sbi.parameters import Parameter
 
-
 STD = np.sqrt(1.0 / 12.0)  # of a box of width 1
 
 

@@ -85,10 +85,10 @@ def order(expansion: Expansion) -> np.ndarray:
     return np.concatenate([base, shapes, sizes])
 
 
-def origin(expansion: Expansion, fit: Fit) -> Float[np.ndarray, " d"]:
-    """Coefficients, in the order of the columns, of what the linear model's are zero at: shapes as they are fitted, and
-    `rest` of all others."""
-    return np.where(expansion.shaping, expansion.coefficients(fit.theta), 0.0)[order(expansion)]
+def origin(expansion: Expansion, theta: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+    """Coefficients, in the order of the columns, of where those of a linear model about theta are zero: shapes as they
+    are there, and `rest` of all others."""
+    return np.where(expansion.shaping, expansion.coefficients(theta), 0.0)[order(expansion)]
 
 
 def per_coefficient(expansion: Expansion, fit: Fit) -> Float[np.ndarray, " d"]:
@@ -99,5 +99,5 @@ def per_coefficient(expansion: Expansion, fit: Fit) -> Float[np.ndarray, " d"]:
 def _columns(expansion: Expansion, fit: Fit) -> tuple[Float[np.ndarray, "d samples"], Float[np.ndarray, " samples"]]:
     """What parameters do per unit of their coefficients, and the residual from where all coefficients are zero."""
     X = fit.white * per_coefficient(expansion, fit)[:, None]
-    X, off = X[order(expansion)], expansion.coefficients(fit.theta)[order(expansion)] - origin(expansion, fit)
+    X, off = X[order(expansion)], expansion.coefficients(fit.theta)[order(expansion)] - origin(expansion, fit.theta)
     return X, fit.metric(fit.residual).reshape(-1) + off @ X

@@ -239,7 +239,7 @@ class _Asked:
         groups = groups_of(expansion, [*itertools.chain(*off)], self.prior)
         ahead.wait()
         drawn = sample(problem.H, problem.b, groups, Shared(), chain, self.rng)
-        return _Told(now, fit, off[0], problem, drawn.about(origin(expansion, fit)))
+        return _Told(now, fit, off[0], problem, drawn.about(origin(expansion, fit.theta)))
 
 
 def _by_name(
