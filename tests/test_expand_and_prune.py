@@ -36,7 +36,7 @@ from vehicle_sbi.mismatch.selection.gibbs import started
 from vehicle_sbi.mismatch.selection.inclusion import Chain
 from vehicle_sbi.mismatch.selection.pruned import Pruned, folded
 from vehicle_sbi.parameters import Parameter
-from vehicle_sbi.physics.effects import CATALOGUE
+from vehicle_sbi.physics.effects import CATALOGUE, EFFECT_PARAMETERS, TYRE_CURVES
 from vehicle_sbi.physics.single_track import INPUTS
 
 SHORT = Budget(last=Chain(chains=2, sweeps=160, forgotten=60, every=2))
@@ -215,7 +215,7 @@ def test_one_of_several_sizes_takes_the_place_of_all(base: Fit) -> None:
         np.testing.assert_allclose(found[:, :k], 0.0, atol=1e-12)
 
 
-def test_a_tyre_is_given_the_curve_that_it_has_from_a_mixture_of_others() -> None:
+def test_a_tyre_is_given_the_curve_that_it_has_from_a_mixture_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
     # Three times the steering takes the tyres to where they slide, and so tells how they bend before.
     mild = lateral(seconds=12.0)
     u = mild.windows.u.copy()
@@ -226,7 +226,17 @@ def test_a_tyre_is_given_the_curve_that_it_has_from_a_mixture_of_others() -> Non
     assert now.bent() is now  # where no tyre bends
     start, names = now.start.copy(), now.expansion.space.names
     start[names.index("tyre_curve.early")] = 0.5
+    tried, likelier = list[np.ndarray](), Expansion.likelier
+
+    def watched(self: Expansion, observation: Observation, rms: np.ndarray, starts: list[np.ndarray]) -> Fit | None:
+        curves = [self.space.column(name) for name in TYRE_CURVES]
+        tried.extend(np.array(starts)[:, curves])
+        return likelier(self, observation, rms, starts)
+
+    monkeypatch.setattr(Expansion, "likelier", watched)
     found = dict(zip(names, replace(now, start=start, rms=np.full_like(now.rms, WIDER)).bent().start, strict=True))
+    alone = WIDER * stated().size_of(EFFECT_PARAMETERS[TYRE_CURVES[0]])
+    np.testing.assert_allclose(tried, [[0.0, 0.0, 0.5], *(alone * np.eye(len(TYRE_CURVES)))], atol=1e-12)
     assert found["tyre_curve.fullness"] > 0.6
     assert found["tyre_curve.early"] < 0.2
 

@@ -18,7 +18,7 @@ from vehicle_sbi.inference.estimator import NeuralSplineFlow
 from vehicle_sbi.inference.features import Score
 from vehicle_sbi.inference.rounds import Truncated
 from vehicle_sbi.inference.training import Training
-from vehicle_sbi.mismatch.answer.verdict import Found, _cut, _parameters, _share_explained, _unknown
+from vehicle_sbi.mismatch.answer.verdict import TOO_FEW, Found, _cut, _parameters, _share_explained, _unknown
 from vehicle_sbi.mismatch.answer.wording import NAMED, _limits, _sizes, headline
 from vehicle_sbi.mismatch.design.identifiability import card
 from vehicle_sbi.mismatch.estimation.estimate import Estimate, told
@@ -122,6 +122,13 @@ def test_sizes_are_those_of_draws_in_which_they_are_missing(pruned: Pruned) -> N
     said = _parameters(replace(found, theta=theta), ["body_roll"], found.missing["body_roll"])
     assert said["body_roll.gradient"].mean == pytest.approx(0.011)
     assert said["body_roll.gradient"].q05 > 0.0099
+
+
+@pytest.mark.parametrize("draws", [TOO_FEW - 1, TOO_FEW])
+def test_a_size_that_hardly_was_drawn_is_not_said(pruned: Pruned, draws: int) -> None:
+    found = drawn(pruned, body_roll=[1] * draws + [0] * 50)
+    said = _parameters(found, ["body_roll"], found.missing["body_roll"])
+    assert ("body_roll.gradient" in said) == (draws >= TOO_FEW)
 
 
 def test_estimates_are_those_of_the_posterior_where_a_model_was_inferred(base: Fit) -> None:

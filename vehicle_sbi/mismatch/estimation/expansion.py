@@ -133,7 +133,7 @@ class Expansion:
         """How often cars have each effect, by any of its sizes; those of a profile over time are missing together."""
         firsts, spared = np.cumsum([0, *self.groups[:-1]]), dict[str, float]()
         for first in firsts:
-            effect = self.sizes[first].name.split(".")[0]
+            effect = _effect(self.sizes[first])
             spared[effect] = spared.get(effect, 1.0) * (1.0 - float(self.rates[first]))
         return {effect: 1.0 - none for effect, none in spared.items()}
 
@@ -141,7 +141,7 @@ class Expansion:
         """With some of the sizes alone, and the shapes of their effects."""
         kept = np.array([p.name in sizes for p in self.sizes], dtype=bool)
         effects = {name.split(".")[0] for name in sizes}
-        shapes = tuple(p for p in self.shapes if p.name.split(".")[0] in effects)
+        shapes = tuple(p for p in self.shapes if _effect(p) in effects)
         return replace(
             self,
             sizes=tuple(itertools.compress(self.sizes, kept)),

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from vehicle_sbi.inference.directions import Direction
 from vehicle_sbi.inference.effect_prior import EffectPrior
@@ -268,16 +268,11 @@ def groups_of(expansion: Expansion, off: Sequence[Discrepancy], prior: EffectPri
     own, space = len(expansion.base), expansion.space
     return Groups.of(
         believed(expansion, off, prior),
-        _shaped(expansion, len(off)),
+        np.pad(expansion.shaped, ((0, 0), (0, len(off)))),  # of discrepancies there are none
         low=expansion.coefficients(space.low)[:own],
         high=expansion.coefficients(space.high)[:own],
         outside=prior.outside,
     )
-
-
-def _shaped(expansion: Expansion, off: int) -> Bool[np.ndarray, "shapes groups"]:
-    """Which effects' sizes, and no discrepancies, the shapes are of."""
-    return np.pad(expansion.shaped, ((0, 0), (0, off)))
 
 
 def _theta(expansion: Expansion, coefficient: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n d"]:
